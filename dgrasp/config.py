@@ -1,0 +1,288 @@
+"""The typed configuration of an experiment, read from YAML with dotted overrides.
+
+Every number of the paper's tables of hyperparameters is a default here; `cfg/` names experiments.
+"""
+
+from __future__ import annotations
+
+import difflib
+import re
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import yaml
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+from dgrasp.errors import ConfigError
+
+Positive = Annotated[float, Field(gt=0)]
+NonNegative = Annotated[float, Field(ge=0)]
+Fraction = Annotated[float, Field(ge=0, le=1)]
+Count = Annotated[int, Field(ge=1)]
+
+
+class _Section(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, validate_default=True, strict=True)
+
+
+class LabelsConfig(_Section):
+    """Which grasp labels: a release's split by name, or a file; which objects of it."""
+
+    source: str = "dexycb"
+    split: Literal["train", "test"] = "train"
+    objects: list[str] = []
+    limit_per_object: Count | None = None
+
+
+class PhysicsConfig(_Section):
+    """The simulated world (supplement, section B.1; ERRATA of the authors' code in docs/deviations.md)."""
+
+    timestep: Positive = 0.00222
+    substeps: Count = 13
+    friction: NonNegative = 0.8
+    official_compat: bool = True
+    masses: Literal["official", "ycb"] = "official"
+    hand_table_collision: bool = True
+    self_collision: bool = False
+
+
+class NoiseConfig(_Section):
+    """Uniform reset noise, half-widths: wrist position (x, y and z apart), wrist and finger angles."""
+
+    wrist_xy: NonNegative = 0.02
+    wrist_z: NonNegative = 0.01
+    wrist_angle: NonNegative = 0.05
+    finger_angle: NonNegative = 0.05
+
+
+class ActionConfig(_Section):
+    """Scale sigma of the residual action and the PD gains (root translation, then all rotations)."""
+
+    sigma_wrist_position: Positive = 0.001
+    sigma_wrist_rotation: Positive = 0.01
+    sigma_fingers: Positive = 0.015
+    kp_position: Positive = 50.0
+    kd_position: NonNegative = 0.1
+    kp_rotation: Positive = 50.0
+    kd_rotation: NonNegative = 0.2
+
+
+class RewardConfig(_Section):
+    """Weights of the reward terms (paper, section 3.2.2 and Table of weights; docs/deviations.md)."""
+
+    position: float = 2.0
+    pose: float = 0.1
+    contact: float = 1.0
+    impulse: float = 2.0
+    object_velocity: float = -1.0
+    object_angular_velocity: float = 0.0
+    wrist_linear_velocity: float = -0.5
+    wrist_angular_velocity: float = -0.5
+    tip_weight: Positive = 4.0
+    squared_weights: bool = True
+    position_floor: float = -10.0
+    impulse_per_mass: Positive = 5.0
+    clip: float | None = None
+
+
+class EnvConfig(_Section):
+    """The grasping task: episode, components that the paper ablates, reward."""
+
+    episode_steps: Count = 195
+    grasp_steps: Count = 60
+    features: Literal["phi", "full_state"] = "phi"
+    goal_space: bool = True
+    wrist: Literal["guidance", "residual"] = "guidance"
+    noise: NoiseConfig = NoiseConfig()
+    action: ActionConfig = ActionConfig()
+    reward: RewardConfig = RewardConfig()
+
+
+class PpoConfig(_Section):
+    """PPO with the paper's hyperparameters (supplement, Table of PPO) and the authors' choices."""
+
+    epochs: Count = 10000
+    gamma: Fraction = 0.996
+    lam: Fraction = 0.95
+    clip: Positive = 0.2
+    max_grad_norm: Positive = 0.5
+    value_coefficient: NonNegative = 0.5
+    entropy_coefficient: float = 0.0
+    learning_rate: Positive = 5e-4
+    adaptive_learning_rate: bool = True
+    desired_kl: Positive = 0.01
+    min_learning_rate: Positive = 1e-5
+    max_learning_rate: Positive = 1e-2
+    update_epochs: Count = 4
+    minibatches: Count = 4
+    shuffle: bool = True
+    clipped_value_loss: bool = True
+    hidden: list[Count] = [128, 128]
+    initial_std: Positive = 1.0
+    min_std: NonNegative = 0.2
+
+
+class PoolConfig(_Section):
+    """Where the environments run; `workers: null` takes as many as there are cores."""
+
+    kind: Literal["process", "serial"] = "process"
+    workers: Count | None = None
+    envs: Count | None = None
+
+
+class CheckpointConfig(_Section):
+    """Checkpoints: one every `every` epochs, of which the last `keep` stay."""
+
+    every: Count = 10
+    keep: Count = 5
+
+
+class EvalConfig(_Section):
+    """Periodic deterministic evaluation in training, and the window of the stability test."""
+
+    every: Count = 25
+    window_s: Positive = 5.0
+    gif: bool = True
+
+
+class Config(_Section):
+    """One experiment."""
+
+    name: str = "dexycb"
+    seed: Annotated[int, Field(ge=0)] = 1
+    engine: Literal["pybullet"] = "pybullet"
+    device: Literal["auto", "cpu", "cuda"] = "auto"
+    data: str | None = None
+    hand: str | None = None
+    fallback: Literal["free", "error"] = "free"
+    labels: LabelsConfig = LabelsConfig()
+    physics: PhysicsConfig = PhysicsConfig()
+    env: EnvConfig = EnvConfig()
+    ppo: PpoConfig = PpoConfig()
+    pool: PoolConfig = PoolConfig()
+    checkpoint: CheckpointConfig = CheckpointConfig()
+    eval: EvalConfig = EvalConfig()
+
+    @property
+    def control_period(self) -> float:
+        """Seconds per control step."""
+        return self.physics.timestep * self.physics.substeps
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Config:
+        if self.env.grasp_steps >= self.env.episode_steps:
+            raise ValueError("env.grasp_steps must be below env.episode_steps")
+        if self.ppo.min_learning_rate > self.ppo.max_learning_rate:
+            raise ValueError("ppo.min_learning_rate must not exceed ppo.max_learning_rate")
+        return self
+
+
+class _Loader(yaml.SafeLoader):
+    """SafeLoader that reads 1e-3 as a number, as YAML 1.2 does, and refuses duplicate keys."""
+
+    def construct_mapping(self, node: Any, deep: bool = False) -> dict[Any, Any]:
+        seen: set[Any] = set()
+        for key_node, _ in node.value:
+            key = self.construct_object(key_node, deep=True)
+            if not isinstance(key, str):
+                raise yaml.constructor.ConstructorError(None, None, f"key {key!r} is not text", key_node.start_mark)
+            if key in seen:
+                raise yaml.constructor.ConstructorError(None, None, f"duplicate key {key!r}", key_node.start_mark)
+            seen.add(key)
+        return super().construct_mapping(node, deep=deep)
+
+
+_Loader.add_implicit_resolver(
+    "tag:yaml.org,2002:float",
+    re.compile(r"^[-+]?(\d[\d_]*\.?[\d_]*|\.[\d_]+)[eE][-+]?\d+$"),
+    list("-+0123456789."),
+)
+
+
+def _parse_yaml(text: str, where: str) -> Any:
+    try:
+        return yaml.load(text, Loader=_Loader)
+    except (yaml.YAMLError, RecursionError, ValueError) as error:
+        raise ConfigError(f"{where}: not valid YAML ({' '.join(str(error).split())})") from None
+
+
+def config_keys(model: type[BaseModel] = Config, prefix: str = "") -> list[str]:
+    """All dotted keys of the configuration."""
+    keys = []
+    for name, info in model.model_fields.items():
+        annotation = info.annotation
+        if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+            keys += config_keys(annotation, f"{prefix}{name}.")
+        else:
+            keys.append(f"{prefix}{name}")
+    return keys
+
+
+def _nearest(path: str) -> str:
+    keys = config_keys()
+    sections = sorted({key.rsplit(".", 1)[0] for key in keys if "." in key})
+    candidates = keys + sections
+    close = difflib.get_close_matches(path, candidates, n=1, cutoff=0.5)
+    if not close:
+        tail = path.rsplit(".", 1)[-1]
+        close = [k for k in candidates if k.rsplit(".", 1)[-1] in difflib.get_close_matches(
+            tail, [c.rsplit(".", 1)[-1] for c in candidates], n=1, cutoff=0.5)][:1]
+    return f"; did you mean {close[0]!r}?" if close else ""
+
+
+def apply_overrides(values: dict[str, Any], overrides: list[str]) -> dict[str, Any]:
+    """`values` with dotted `key=value` overrides laid over them; the values are YAML."""
+    merged = _copy(values)
+    for item in overrides:
+        key, separator, text = item.partition("=")
+        if not separator or not key:
+            raise ConfigError(f"override {item!r}: expected key=value, such as ppo.epochs=100")
+        node = merged
+        *parents, leaf = key.split(".")
+        for parent in parents:
+            child = node.setdefault(parent, {})
+            if not isinstance(child, dict):
+                raise ConfigError(f"override {item!r}: {parent!r} is not a section")
+            node = child
+        node[leaf] = _parse_yaml(text, f"override {item!r}")
+    return merged
+
+
+def _copy(value: Any) -> Any:
+    return {k: _copy(v) for k, v in value.items()} if isinstance(value, dict) else value
+
+
+def make_config(values: dict[str, Any], where: str = "config") -> Config:
+    """The validated config; a `ConfigError` lists every problem at once, each with its path."""
+    try:
+        return Config.model_validate(values)
+    except ValidationError as error:
+        lines = []
+        for issue in error.errors():
+            path = ".".join(str(part) for part in issue["loc"])
+            if issue["type"] == "extra_forbidden":
+                lines.append(f"{path}: unknown key{_nearest(path)}")
+            else:
+                got = "" if isinstance(issue.get("input"), (dict, Config)) else f" (got {issue.get('input')!r})"
+                lines.append(f"{path + ': ' if path else ''}{issue['msg']}{got}")
+        raise ConfigError(f"{where}:\n  " + "\n  ".join(lines)) from None
+
+
+def load_config(path: Path | None, overrides: list[str] | None = None) -> Config:
+    """The config of a YAML file (or the defaults) with overrides such as `["ppo.epochs=6", "seed=3"]`."""
+    values: Any = {}
+    if path is not None:
+        try:
+            text = Path(path).read_text(encoding="utf-8")
+        except (OSError, UnicodeDecodeError) as error:
+            raise ConfigError(f"{path}: cannot read the config ({error})") from None
+        values = _parse_yaml(text, str(path))
+        values = {} if values is None else values
+        if not isinstance(values, dict):
+            raise ConfigError(f"{path}: expected a mapping of config keys, got {type(values).__name__}")
+    return make_config(apply_overrides(values, overrides or []), where=str(path) if path else "config")
+
+
+def dump_config(config: Config) -> str:
+    """The config as YAML, complete, so that a run can be repeated."""
+    return yaml.safe_dump(config.model_dump(mode="json"), sort_keys=False)

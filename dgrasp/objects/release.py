@@ -1,0 +1,31 @@
+"""The objects of a release laid out like the authors': a folder `objects/<name>/` of meshes per object."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+from dgrasp.errors import DataError
+from dgrasp.objects.catalogue import MassSet, catalogue_object
+from dgrasp.objects.inertia import object_model
+from dgrasp.objects.model import ObjectModel
+
+
+def release_object(objects_dir: Path, name: str, masses: MassSet, official_compat: bool) -> ObjectModel:
+    """The object `name` with the authors' choice of collision shape, in its mesh's frame O.
+
+    objects_dir: the release's `objects` folder; it is read for objects that collide as a mesh, not for boxes and
+    cylinders. masses: "official" as the authors simulate them, "ycb" as published.
+    official_compat: centre of mass at the origin and 1 kg m^2 about every axis instead of the shape's own.
+    Raises `DataError` for an unknown name or a mesh that is missing or damaged.
+    """
+    entry = catalogue_object(name)
+    shape = entry.collision
+    if shape.file is not None:
+        shape = replace(shape, file=Path(objects_dir) / name / shape.file)
+        if not shape.file.is_file():
+            raise DataError(
+                f"{shape.file}: the collision mesh of {name} is missing; expected a release's objects folder with "
+                f"{name}/{shape.file.name}. Point --data at a folder that has it, or use --data free"
+            )
+    return object_model(name, (shape,), entry.mass(masses), official_compat)

@@ -1,0 +1,135 @@
+"""The data that flows through the system. All arrays are float64 unless said otherwise, SI units.
+
+`T_AB` maps points of frame B into frame A. Frames: W world (z up), O object, H wrist, H0 the wrist at the
+start of the episode. Quaternions are w, x, y, z. Angles are intrinsic XYZ Euler angles in radians.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[Any]
+
+
+@dataclass(frozen=True)
+class StartPose:
+    """Where hand and object are when the approach begins.
+
+    T_WH, T_WO: (4, 4). hand_pose: (45,) rad.
+    """
+
+    T_WH: Array
+    T_WO: Array
+    hand_pose: Array
+
+
+@dataclass(frozen=True)
+class GraspLabel:
+    """One static grasp, as a data source gives it (paper, section 3.1).
+
+    object_id: catalogue name, such as "004_sugar_box".
+    hand_pose: (45,) finger joint angles, rad, order of `skeleton.DOF_NAMES[6:]`.
+    T_WH, T_WO: (4, 4) wrist and object in the world at the grasp.
+    joints_W: (21, 3) key points in the world, m, order of `skeleton.KEYPOINTS`.
+    goal_contacts: (16,) bool, which parts should touch the object, order of `skeleton.PARTS`.
+    start: the start of the approach; None where the source has only the static grasp, and then the
+        scene makes one.
+    hand: id of the hand that it was made for ("mano_mean", "free"); another hand refuses it.
+    source: where it comes from ("dexycb_train_labels.pkl", "free"), and its place there: `index` counts
+        within the object.
+    on_table: whether the label knows the table (its world has a table at z = 0.5 m).
+    """
+
+    object_id: str
+    hand_pose: Array
+    T_WH: Array
+    T_WO: Array
+    joints_W: Array
+    goal_contacts: Array
+    start: StartPose | None
+    hand: str
+    source: str
+    index: int
+    on_table: bool = True
+
+    @property
+    def name(self) -> str:
+        """Short unique name for messages: source, object and index."""
+        return f"{self.source}:{self.object_id}[{self.index}]"
+
+
+@dataclass(frozen=True)
+class GraspGoal:
+    """The goals of N environments in their objects' frames (supplement, section A.1).
+
+    joints_O: (N, 21, 3). R_OH: (N, 3, 3). hand_pose: (N, 45). goal_contacts: (N, 16) float, 0 or 1.
+    wrist_euler_O: (N, 3), Euler angles of R_OH.
+    """
+
+    joints_O: Array
+    R_OH: Array
+    hand_pose: Array
+    goal_contacts: Array
+    wrist_euler_O: Array
+
+
+@dataclass
+class SceneState:
+    """What the physics says about N environments after a control step.
+
+    gc, gv: (N, 51) generalised coordinates and velocities; the first six are relative to the initial
+        wrist frame H0 (m, rad as Euler angles; m/s, rad/s as their rates).
+    R_WH0 (N, 3, 3), wrist_start_W (N, 3): the initial wrist frame.
+    R_WH (N, 3, 3), joints_W (N, 21, 3): wrist rotation and key points; joints_W[:, 0] is the wrist.
+    R_WO (N, 3, 3), object_pos_W (N, 3), object_linvel_W, object_angvel_W (N, 3).
+    contacts (N, 16) float 0 or 1; contact_impulse (N, 16), N s per substep, hand parts against the object.
+    object_start_W (N, 3): where the object was at the start. table_height_W (N,).
+    object_mass (N,) kg. table_contact (N,) bool: the object touches the table.
+    """
+
+    gc: Array
+    gv: Array
+    R_WH0: Array
+    wrist_start_W: Array
+    R_WH: Array
+    joints_W: Array
+    R_WO: Array
+    object_pos_W: Array
+    object_linvel_W: Array
+    object_angvel_W: Array
+    contacts: Array
+    contact_impulse: Array
+    object_start_W: Array
+    table_height_W: Array
+    object_mass: Array
+    table_contact: Array
+
+
+@dataclass
+class EpisodeRecord:
+    """One evaluated episode: what the metrics and the report read. T control steps.
+
+    label: the grasp label. gc (T, 51), T_WH (T, 4, 4), joints_W (T, 21, 3), T_WO (T, 4, 4),
+    contacts (T, 16), contact_impulse (T, 16) N s per substep, table_contact (T,) bool: states after each
+    control step. window_start: index of the first step after the table was taken away.
+    dt: control period in s. terminated: why the episode ended early ("" if it did not).
+    reward: (T,). extra: what a method adds.
+    """
+
+    label: GraspLabel
+    gc: Array
+    T_WH: Array
+    joints_W: Array
+    T_WO: Array
+    contacts: Array
+    contact_impulse: Array
+    table_contact: Array
+    reward: Array
+    window_start: int
+    dt: float
+    terminated: str = ""
+    extra: dict[str, Any] = field(default_factory=dict)

@@ -1,0 +1,181 @@
+"""PD control for PyBullet that feels like RaiSim's implicit PD (derivation in docs/physics.md).
+
+RaiSim integrates the PD law inside its contact solver, so a contact feels the inertia
+M + dt D + dt^2 K: for a finger joint that is 3e-3 kg m^2, a hundred times the finger itself. Bullet has no
+such term. The law here simulates a hand with inflated link inertias (mass matrix Mb) and adds the torque
+that makes it move as the light hand (mass matrix Mr) would under implicit PD:
+
+    Mh = Mr + dt D',  D' = kd + damping + dt kp        inertia and damping of the implicit law
+    G  = Mb Mh^-1
+    tau = G (kp (q* - q) + ff + h - D' v) - h
+    h  += beta (Mb (v+ - v) / dt - tau - h)            observer of contact, limit and gravity forces
+
+With h exact, Mb a = tau + h gives Mh a = kp (q* - q) + ff + h - D' v: the implicit law with every outside
+force acting on Mh. The observer's lag is 1 / beta substeps.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pybullet as p
+
+from raisim_like.engines.bullet_urdf import LIGHT_INERTIA, simulated_inertias
+from raisim_like.engines.protocol import Array
+from raisim_like.urdf import UrdfModel
+
+if TYPE_CHECKING:
+    from raisim_like.engines.bullet import BulletWorld
+
+OBSERVER_GAIN = 0.15
+"""beta per substep. 0.5 went unstable on stiff contacts; a slower observer lets a grip sag."""
+
+
+class _Axes:
+    """Directions of all joint axes in the base frame, for many configurations at once."""
+
+    def __init__(self, model: UrdfModel) -> None:
+        n = model.dof
+        self.revolute = np.array([link.kind == "revolute" for link in model.links])
+        self.axis = np.array([link.axis for link in model.links])
+        self.origin = np.array([link.origin[:3, :3] for link in model.links])
+        x, y, z = self.axis.T
+        zero = np.zeros(n)
+        K = np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=-1).reshape(n, 3, 3)
+        self.cross, self.cross2 = K, K @ K
+        depth = []
+        for link in model.links:
+            depth.append(0 if link.parent < 0 else depth[link.parent] + 1)
+        parents = np.array([link.parent for link in model.links])
+        self.levels = [
+            (ids, parents[ids]) for d in range(max(depth) + 1) if len(ids := np.flatnonzero(np.array(depth) == d))
+        ]
+        # common[i, j]: inertia added to the links that both joint i and joint j turn.
+        added = simulated_inertias(model) - LIGHT_INERTIA
+        common = np.zeros((n, n))
+        for i in range(n):
+            ancestors = []
+            k = i
+            while k >= 0:
+                if self.revolute[k]:
+                    ancestors.append(k)
+                k = model.links[k].parent
+            common[np.ix_(ancestors, ancestors)] += added[i]
+        self.common = common
+
+    def __call__(self, q: Array) -> Array:
+        """(N, dof, 3) axis directions for coordinates (N, dof); zero for prismatic joints."""
+        angle = np.where(self.revolute, q, 0.0)[..., None, None]
+        local = self.origin @ (np.eye(3) + np.sin(angle) * self.cross + (1.0 - np.cos(angle)) * self.cross2)
+        R = np.empty_like(local)
+        for ids, parents in self.levels:
+            R[:, ids] = local[:, ids] if parents[0] < 0 else np.matmul(R[:, parents], local[:, ids])
+        axes = np.matmul(R, self.axis[:, :, None])[..., 0]
+        return np.where(self.revolute[:, None], axes, 0.0)
+
+    def added_inertia(self, q: Array) -> Array:
+        """(N, dof, dof): mass matrix of the inflated link inertias alone, Mb - Mr."""
+        a = self(q)
+        return np.matmul(a, np.swapaxes(a, -1, -2)) * self.common
+
+
+_AXES: dict[int, _Axes] = {}
+
+
+def _axes_of(model: UrdfModel) -> _Axes:
+    if id(model) not in _AXES:
+        _AXES[id(model)] = _Axes(model)
+    return _AXES[id(model)]
+
+
+class ImplicitPd:
+    """Controller and state of one articulated system; arrays are (dof,)."""
+
+    def __init__(self, client: int, uid: int, model: UrdfModel, timestep: float) -> None:
+        self.client, self.uid, self.model, self.dof, self.dt = client, uid, model, model.dof, timestep
+        n = self.dof
+        self.indices = list(range(n))
+        self.axes = _axes_of(model)
+        self.q, self.v = np.zeros(n), np.zeros(n)
+        self.kp, self.kd = np.zeros(n), np.zeros(n)
+        self.damping = model.joint_damping
+        self.target, self.feed_forward = np.zeros(n), np.zeros(n)
+        self.h = np.zeros(n)
+        p.setJointMotorControlArray(
+            uid, self.indices, p.VELOCITY_CONTROL, forces=[0.0] * n, physicsClientId=client
+        )
+
+    def set_gains(self, kp: Array, kd: Array) -> None:
+        self.kp[:], self.kd[:] = kp, kd
+
+    def set_state(self, gc: Array, gv: Array) -> None:
+        p.resetJointStatesMultiDof(
+            self.uid,
+            self.indices,
+            targetValues=[[value] for value in np.asarray(gc, dtype=float).tolist()],
+            targetVelocities=[[value] for value in np.asarray(gv, dtype=float).tolist()],
+            physicsClientId=self.client,
+        )
+        self.h[:] = 0.0
+        self.q[:], self.v[:] = gc, gv
+
+
+def integrate_worlds(worlds: Sequence[BulletWorld], substeps: int) -> None:
+    """Advance worlds together: the linear algebra of their controllers is batched, the steps are not."""
+    pairs = [(world, system) for world in worlds for system in world.systems.values()]
+    if any(len(world.systems) != 1 for world in worlds):
+        _integrate_plain(worlds, substeps)
+        return
+    if not pairs:
+        return
+    systems = [system for _, system in pairs]
+    dt, dof = systems[0].dt, systems[0].dof
+    if any(s.model is not systems[0].model or s.dt != dt for s in systems):
+        for world in worlds:
+            integrate_worlds([world], substeps)
+        return
+    count = len(systems)
+    q = np.array([s.q for s in systems])
+    v = np.array([s.v for s in systems])
+    h = np.array([s.h for s in systems])
+    kp = np.array([s.kp for s in systems])
+    target = np.array([s.target for s in systems])
+    forward = np.array([s.feed_forward for s in systems])
+    D = np.array([s.kd + s.damping + dt * s.kp for s in systems])
+    Mb = np.array([p.calculateMassMatrix(s.uid, s.q.tolist(), physicsClientId=s.client) for s in systems])
+    Mh = Mb - systems[0].axes.added_inertia(q)
+    Mh[:, range(dof), range(dof)] += dt * D
+    # Both are symmetric, so G = Mb Mh^-1 is the transpose of Mh^-1 Mb.
+    G = np.swapaxes(np.linalg.solve(Mh, Mb), -1, -2)
+    clock = time.perf_counter
+    zero = range(dof)
+    for _ in range(substeps):
+        tau = np.matmul(G, (kp * (target - q) + forward + h - D * v)[..., None])[..., 0] - h
+        before = v.copy()
+        for i in range(count):
+            world, system = pairs[i]
+            p.setJointMotorControlArray(
+                system.uid, system.indices, p.TORQUE_CONTROL, forces=tau[i].tolist(), physicsClientId=system.client
+            )
+            start = clock()
+            p.stepSimulation(physicsClientId=system.client)
+            world.step_seconds += clock() - start
+            states = p.getJointStatesMultiDof(system.uid, system.indices, physicsClientId=system.client)
+            q[i] = [s[0][0] for s in states]
+            v[i] = [s[1][0] for s in states]
+        h += OBSERVER_GAIN * (np.matmul(Mb, ((v - before) / dt)[..., None])[..., 0] - tau - h)
+    del zero
+    for i, system in enumerate(systems):
+        system.q[:], system.v[:], system.h[:] = q[i], v[i], h[i]
+
+
+def _integrate_plain(worlds: Sequence[BulletWorld], substeps: int) -> None:
+    """Worlds without an articulated system, or with several: one after the other."""
+    for world in worlds:
+        for _ in range(substeps):
+            start = time.perf_counter()
+            p.stepSimulation(physicsClientId=world.client)
+            world.step_seconds += time.perf_counter() - start

@@ -1,0 +1,110 @@
+"""The URDF that PyBullet gets: collapsed links, each with mass and an inertia that its solver can digest."""
+
+from __future__ import annotations
+
+from typing import Any
+from xml.sax.saxutils import quoteattr
+
+import numpy as np
+from numpy.typing import NDArray
+
+from raisim_like.shapes import Shape
+from raisim_like.urdf import UrdfModel
+
+LINK_INERTIA = 3e-4
+"""kg m^2 of every revolute link. Bullet's contact solver sees the links, not the controller; grams at the
+end of a chain would leave it unconverged, and the controller gives back the difference (bullet_pd)."""
+WRIST_INERTIA = 1e-3
+"""The same for the links of the wrist's own rotations."""
+LIGHT_INERTIA = 1e-6
+"""Inertia that the light hand, which the controller imitates, has per link."""
+MIN_MASS = 1e-5
+"""kg. PyBullet fixes links without mass."""
+
+
+_BASE = (
+    '<link name="base"><inertial><mass value="0"/>'
+    '<inertia ixx="0" iyy="0" izz="0" ixy="0" ixz="0" iyz="0"/></inertial></link>'
+)
+
+
+def simulated_inertias(model: UrdfModel) -> NDArray[Any]:
+    """(dof,) isotropic inertia of each link as simulated."""
+    wrist = _wrist_links(model)
+    return np.array(
+        [
+            LIGHT_INERTIA if link.kind == "prismatic" else (WRIST_INERTIA if i in wrist else LINK_INERTIA)
+            for i, link in enumerate(model.links)
+        ]
+    )
+
+
+def _wrist_links(model: UrdfModel) -> set[int]:
+    """The unbranched chain of links from the base: what positions and turns the root body."""
+    chain: set[int] = set()
+    current = -1
+    while True:
+        children = [i for i, link in enumerate(model.links) if link.parent == current]
+        if len(children) != 1:
+            return chain
+        current = children[0]
+        chain.add(current)
+
+
+def normalised_urdf(model: UrdfModel) -> str:
+    """URDF text with one link per degree of freedom and Bullet-friendly masses and inertias."""
+    lines = ['<?xml version="1.0"?>', f"<robot name={quoteattr(model.name)}>", _BASE]
+    inertias = simulated_inertias(model)
+    for i, link in enumerate(model.links):
+        x, y, z = (float(v) for v in link.com)
+        J = float(inertias[i])
+        lines.append(f'<link name="link{i}"><inertial><origin xyz="{x!r} {y!r} {z!r}"/>')
+        lines.append(f'<mass value="{max(link.mass, MIN_MASS)!r}"/>')
+        lines.append(f'<inertia ixx="{J!r}" iyy="{J!r}" izz="{J!r}" ixy="0" ixz="0" iyz="0"/></inertial>')
+        for shape in link.shapes:
+            body = _geometry(shape)
+            lines.append(f"<collision>{body}</collision><visual>{body}</visual>")
+        lines.append("</link>")
+        parent = "base" if link.parent < 0 else f"link{link.parent}"
+        lines.append(
+            f"<joint name={quoteattr(link.joint)} type={quoteattr(_kind(link.kind, link.lower))}>"
+            f'<parent link="{parent}"/><child link="link{i}"/>{_origin(link.origin)}'
+            f'<axis xyz="{" ".join(repr(float(v)) for v in link.axis)}"/>'
+        )
+        if np.isfinite(link.lower):
+            lines.append(f'<limit lower="{link.lower!r}" upper="{link.upper!r}" effort="1000" velocity="100"/>')
+        lines.append("</joint>")
+    lines.append("</robot>")
+    return "\n".join(lines)
+
+
+def _kind(kind: str, lower: float) -> str:
+    return kind if np.isfinite(lower) or kind == "prismatic" else "continuous"
+
+
+def _rpy(R: NDArray[Any]) -> tuple[float, float, float]:
+    pitch = float(np.arctan2(-R[2, 0], np.hypot(R[0, 0], R[1, 0])))
+    if np.hypot(R[0, 0], R[1, 0]) < 1e-9:
+        return 0.0, pitch, float(np.arctan2(-R[0, 1], R[1, 1]))
+    return float(np.arctan2(R[2, 1], R[2, 2])), pitch, float(np.arctan2(R[1, 0], R[0, 0]))
+
+
+def _origin(T: NDArray[Any]) -> str:
+    xyz = " ".join(repr(float(v)) for v in T[:3, 3])
+    rpy = " ".join(repr(v) for v in _rpy(T[:3, :3]))
+    return f'<origin xyz="{xyz}" rpy="{rpy}"/>'
+
+
+def _geometry(shape: Shape) -> str:
+    from raisim_like.urdf import shape_pose
+
+    size = [repr(float(v)) for v in shape.size]
+    if shape.kind == "box":
+        inner = f'<box size="{" ".join(size)}"/>'
+    elif shape.kind == "sphere":
+        inner = f'<sphere radius="{size[0]}"/>'
+    elif shape.kind in ("cylinder", "capsule"):
+        inner = f'<{shape.kind} radius="{size[0]}" length="{size[1]}"/>'
+    else:
+        inner = f"<mesh filename={quoteattr(str(shape.file))}/>"
+    return f"{_origin(shape_pose(shape))}<geometry>{inner}</geometry>"

@@ -1,0 +1,100 @@
+"""What an engine offers to `raisim_like`. Bodies are named by the integer ids that the engine returns."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, Protocol
+
+from numpy.typing import NDArray
+
+from raisim_like.contact import Contact
+from raisim_like.material import MaterialTable
+from raisim_like.shapes import Shape
+from raisim_like.urdf import UrdfModel
+
+Array = NDArray[Any]
+
+
+class EngineWorld(Protocol):
+    """One simulated world of an engine."""
+
+    timestep: float
+    step_seconds: float
+    """Wall seconds spent inside the engine's own step so far."""
+
+    def close(self) -> None:
+        """Free the world."""
+
+    def set_gravity(self, gravity: Array) -> None:
+        """Gravity (3,), m/s^2, world frame."""
+
+    def add_body(
+        self, shapes: Sequence[Shape], mass: float, com: Array, inertia: Array, material: str, collision_mask: int
+    ) -> int:
+        """A rigid body; mass 0 makes it static. inertia (3, 3) about the com (3,)."""
+
+    def add_articulated(self, model: UrdfModel, material: str, collision_mask: int, self_collision: bool) -> int:
+        """An articulated system on a fixed base."""
+
+    def remove(self, body: int) -> None:
+        """Take a body out of the world."""
+
+    def apply_materials(self, table: MaterialTable) -> None:
+        """Set the friction of all bodies."""
+
+    def set_body_state(self, body: int, state: Array) -> None:
+        """position 3, quaternion 4 (w x y z), linear 3 and angular velocity 3 of a body's frame, world."""
+
+    def get_body_state(self, body: int, out: Array) -> None:
+        """Writes the (13,) state of `set_body_state` into out."""
+
+    def set_base_pose(self, body: int, position: Array, quaternion: Array) -> None:
+        """Pose of an articulated system's fixed base."""
+
+    def set_joint_state(self, body: int, gc: Array, gv: Array) -> None:
+        """Generalised coordinates and velocities (dof,); resets the controller's memory."""
+
+    def get_joint_state(self, body: int, gc: Array, gv: Array) -> None:
+        """Writes coordinates and velocities into (dof,) arrays."""
+
+    def set_pd_gains(self, body: int, kp: Array, kd: Array) -> None:
+        """PD gains (dof,)."""
+
+    def set_pd_target(self, body: int, target: Array) -> None:
+        """PD position target (dof,); the target velocity is zero."""
+
+    def set_feed_forward(self, body: int, force: Array) -> None:
+        """Generalised feed-forward force (dof,), N or N m."""
+
+    def mass_matrix(self, body: int) -> Array:
+        """(dof, dof) mass matrix of the articulated system as the engine simulates it."""
+
+    def link_impulses(self, body: int, other: int, out: Array) -> None:
+        """Writes the summed normal impulse (N s, last substep) of each moving link against `other`, (dof,)."""
+
+    def touching(self, body: int, other: int) -> bool:
+        """Whether two bodies pressed on each other in the last substep."""
+
+    def contacts(self, body: int) -> list[Contact]:
+        """All contact points of a body."""
+
+    def link_poses(self, body: int) -> tuple[Array, Array]:
+        """World rotations (dof, 3, 3) and origins (dof, 3) of the moving links."""
+
+    def render(self, eye: Array, target: Array, width: int, height: int) -> Array:
+        """(height, width, 3) uint8 picture, no display needed."""
+
+    def set_color(self, body: int, rgba: Sequence[float]) -> None:
+        """Colour in pictures."""
+
+
+class Engine(Protocol):
+    """Makes worlds and integrates several of them together."""
+
+    name: str
+
+    def make_world(self, timestep: float) -> EngineWorld:
+        """A new empty world."""
+
+    def integrate(self, worlds: Sequence[EngineWorld], substeps: int) -> None:
+        """Advance all worlds by `substeps` steps, PD control included."""

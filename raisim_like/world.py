@@ -1,0 +1,134 @@
+"""A world of bodies, and the integration of several worlds together."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from raisim_like.articulated_system import ArticulatedSystem
+from raisim_like.engines import make_engine
+from raisim_like.errors import EngineError
+from raisim_like.material import MaterialTable
+from raisim_like.rigid_body import RigidBody
+from raisim_like.shapes import Shape
+from raisim_like.urdf import UrdfModel, read_urdf
+
+Array = NDArray[Any]
+
+# Collision bits: the low byte says what a body is, the next byte what it collides with.
+STATIC, BODY, SYSTEM = 1, 2, 4
+
+
+def collision_mask(kind: int, collides_with: int) -> int:
+    """Mask for `World.add_*`: a kind (STATIC, BODY, SYSTEM) and the kinds that it collides with."""
+    return kind | collides_with << 8
+
+
+class World:
+    """A simulated world (RaiSim's `World`). Gravity is (0, 0, -9.81) until set."""
+
+    def __init__(self, engine: str = "pybullet", timestep: float = 0.00222) -> None:
+        if not timestep > 0:
+            raise ValueError(f"timestep must be positive, got {timestep}")
+        self.engine = make_engine(engine)
+        self.engine_world = self.engine.make_world(timestep)
+        self.timestep = timestep
+        self.materials = MaterialTable()
+        self.set_gravity((0.0, 0.0, -9.81))
+        self.world_time = 0.0
+
+    def close(self) -> None:
+        """Free the engine's world; the object is unusable afterwards."""
+        self.engine_world.close()
+
+    def set_gravity(self, gravity: Any) -> None:
+        """(3,) m/s^2, world."""
+        self.engine_world.set_gravity(np.asarray(gravity, dtype=float))
+
+    def set_material_pair(self, first: str, second: str, friction: float) -> None:
+        """Friction between two materials; applies at once to all bodies."""
+        self.materials.set_pair(first, second, friction)
+        self.engine_world.apply_materials(self.materials)
+
+    def set_default_material(self, friction: float) -> None:
+        """Friction of all pairs that are not set."""
+        self.materials.default_friction = float(friction)
+        self.engine_world.apply_materials(self.materials)
+
+    def add_body(
+        self,
+        shapes: Sequence[Shape],
+        mass: float,
+        inertia: Any,
+        center_of_mass: Any = (0.0, 0.0, 0.0),
+        material: str = "default",
+        mask: int | None = None,
+    ) -> RigidBody:
+        """A rigid body of one or more shapes; mass 0 makes it static. inertia (3, 3) kg m^2 about the com."""
+        if mask is None:
+            mask = collision_mask(BODY if mass > 0 else STATIC, STATIC | BODY | SYSTEM)
+        body = self.engine_world.add_body(
+            shapes, mass, np.asarray(center_of_mass, dtype=float), np.asarray(inertia, dtype=float), material, mask
+        )
+        self.engine_world.apply_materials(self.materials)
+        return RigidBody(self, body, mass)
+
+    def add_box(self, x: float, y: float, z: float, mass: float, material: str = "default") -> RigidBody:
+        """A solid box with full side lengths, m."""
+        inertia = mass / 12 * np.diag([y * y + z * z, x * x + z * z, x * x + y * y])
+        return self.add_body([Shape("box", (x, y, z))], mass, inertia, material=material)
+
+    def add_sphere(self, radius: float, mass: float, material: str = "default") -> RigidBody:
+        """A solid sphere."""
+        return self.add_body([Shape("sphere", (radius,))], mass, 0.4 * mass * radius**2 * np.eye(3), material=material)
+
+    def add_cylinder(self, radius: float, length: float, mass: float, material: str = "default") -> RigidBody:
+        """A solid cylinder along z."""
+        side = mass * (3 * radius**2 + length**2) / 12
+        inertia = np.diag([side, side, mass * radius**2 / 2])
+        return self.add_body([Shape("cylinder", (radius, length))], mass, inertia, material=material)
+
+    def add_ground(self, height: float = 0.0, material: str = "default") -> RigidBody:
+        """A large static slab whose top is at `height`."""
+        body = self.add_body([Shape("box", (20.0, 20.0, 1.0))], 0.0, np.eye(3), material=material)
+        body.set_state((0.0, 0.0, height - 0.5))
+        return body
+
+    def add_articulated_system(
+        self,
+        urdf: UrdfModel | Path | str,
+        material: str = "default",
+        mask: int | None = None,
+        self_collision: bool = False,
+    ) -> ArticulatedSystem:
+        """An articulated system on a fixed base, from a URDF."""
+        model = urdf if isinstance(urdf, UrdfModel) else read_urdf(urdf)
+        if mask is None:
+            mask = collision_mask(SYSTEM, STATIC | BODY | SYSTEM)
+        body = self.engine_world.add_articulated(model, material, mask, self_collision)
+        self.engine_world.apply_materials(self.materials)
+        return ArticulatedSystem(self, body, model)
+
+    def remove(self, item: RigidBody | ArticulatedSystem) -> None:
+        """Take a body or system out of the world."""
+        self.engine_world.remove(item.id)
+
+    def integrate(self, substeps: int = 1) -> None:
+        """Advance by a number of timesteps."""
+        integrate([self], substeps)
+
+
+def integrate(worlds: Sequence[World], substeps: int = 1) -> None:
+    """Advance several worlds of one engine together, which batches their control."""
+    if not worlds:
+        return
+    engine = worlds[0].engine
+    if any(world.engine.name != engine.name for world in worlds):
+        raise EngineError("worlds of different engines cannot be integrated together")
+    engine.integrate([world.engine_world for world in worlds], substeps)
+    for world in worlds:
+        world.world_time += substeps * world.timestep
