@@ -28,6 +28,8 @@ def write_atomic(path: Path, content: bytes | str) -> None:
         os.chmod(temporary, 0o666 & ~umask)
         os.replace(temporary, path)
     except OSError as error:
+        raise DataError(f"{path}: cannot be written ({error.strerror or error})") from None
+    finally:
+        # After the replacement the temporary name is gone; it still exists only where something failed.
         if temporary and os.path.exists(temporary):
             os.unlink(temporary)
-        raise DataError(f"{path}: cannot be written ({error.strerror or error})") from None

@@ -1,8 +1,10 @@
 """Read label pickles written by joblib without ever running what a pickle says.
 
 joblib stores a dictionary of arrays as a pickle in which each array is a `NumpyArrayWrapper` followed by
-the array's raw bytes. The reader below accepts just the handful of globals that such a file needs and
-refuses everything else, so a tampered file can be wrong but cannot execute code.
+the array's raw bytes. The reader below accepts just the handful of globals and opcodes that such a file
+needs and refuses everything else, so a tampered file can be wrong but cannot execute code, and cannot make
+the reader hang or crash: keys are text and numbers only, because the hash of a tuple that holds itself twice,
+forty times over, never ends.
 """
 
 from __future__ import annotations
@@ -10,8 +12,10 @@ from __future__ import annotations
 import io
 import math
 import pickle
+import pickletools
+import reprlib
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -35,7 +39,7 @@ class _DtypeStub:
 
     def __init__(self, code: Any = None, align: Any = False, copy: Any = False) -> None:
         if not isinstance(code, str) or code not in _DTYPES:
-            raise DataError(f"array of unsupported dtype {code!r}; expected plain numbers or booleans")
+            raise DataError(f"array of unsupported dtype {reprlib.repr(code)}; expected plain numbers or booleans")
         self.dtype = np.dtype(code)
 
     def __setstate__(self, state: Any) -> None:
@@ -67,10 +71,33 @@ _ALLOWED: dict[tuple[str, str], Any] = {
 }
 
 
-class _LabelUnpickler(pickle._Unpickler):  # type: ignore[name-defined,misc]
+_OPCODE_NAMES = {ord(op.code): op.name for op in pickletools.opcodes}
+_HARMLESS = (
+    "PROTO", "FRAME", "STOP", "MARK", "GLOBAL", "STACK_GLOBAL", "REDUCE", "NEWOBJ",
+    "BINPUT", "LONG_BINPUT", "MEMOIZE", "BINGET", "LONG_BINGET",
+    "NONE", "NEWTRUE", "NEWFALSE", "BININT", "BININT1", "BININT2", "LONG1", "BINFLOAT",
+    "BINUNICODE", "SHORT_BINUNICODE", "SHORT_BINBYTES", "BINBYTES",
+    "EMPTY_TUPLE", "TUPLE", "TUPLE1", "TUPLE2", "TUPLE3", "EMPTY_LIST", "APPEND", "APPENDS", "EMPTY_DICT",
+)
+
+
+class _Opcodes(dict[int, Any]):
+    """The opcodes that a label file may use; looking up another one raises."""
+
+    def __missing__(self, code: int) -> Any:
+        raise DataError(
+            f"the pickle uses the opcode {_OPCODE_NAMES.get(code, code)}, which a label file never needs; "
+            "it was refused and nothing was executed"
+        )
+
+
+class _LabelUnpickler(pickle._Unpickler):
     """Pure-Python unpickler with an allow-list; raw array bytes are read at BUILD, as joblib wrote them."""
 
-    dispatch = dict(pickle._Unpickler.dispatch)  # type: ignore[attr-defined]
+    stack: list[Any]
+    dispatch: ClassVar[dict[int, Any]] = _Opcodes(
+        {code: pickle._Unpickler.dispatch[code] for code, name in _OPCODE_NAMES.items() if name in _HARMLESS}
+    )
 
     def __init__(self, stream: io.BytesIO, size: int) -> None:
         super().__init__(stream)
@@ -81,15 +108,9 @@ class _LabelUnpickler(pickle._Unpickler):  # type: ignore[name-defined,misc]
             return _ALLOWED[(module, name)]
         except KeyError:
             raise DataError(
-                f"the pickle asks for {module}.{name}, which a label file never needs; "
+                f"the pickle asks for {reprlib.repr(f'{module}.{name}')}, which a label file never needs; "
                 "it was refused and nothing was executed"
             ) from None
-
-    def persistent_load(self, pid: Any) -> Any:
-        raise DataError("the pickle holds a persistent reference, which a label file never needs")
-
-    def get_extension(self, code: int) -> Any:
-        raise DataError("the pickle uses the extension registry, which a label file never needs")
 
     def _load_build(self) -> None:
         stack = self.stack
@@ -106,12 +127,30 @@ class _LabelUnpickler(pickle._Unpickler):  # type: ignore[name-defined,misc]
 
     dispatch[pickle.BUILD[0]] = _load_build
 
+    def _load_setitem(self) -> None:
+        value = self.stack.pop()
+        self._set_items([self.stack.pop(), value])
+
+    dispatch[pickle.SETITEM[0]] = _load_setitem
+
+    def _load_setitems(self) -> None:
+        self._set_items(self.pop_mark())  # type: ignore[attr-defined]
+
+    dispatch[pickle.SETITEMS[0]] = _load_setitems
+
+    def _set_items(self, items: list[Any]) -> None:
+        target = self.stack[-1]
+        keys = items[::2]
+        if not isinstance(target, dict) or not all(type(key) in (str, int) for key in keys):
+            raise DataError("the pickle sets items other than a dictionary's by text and numbers")
+        target.update(zip(keys, items[1::2], strict=True))
+
     def _read_array(self, state: dict[str, Any]) -> np.ndarray:
         shape, stub, order = state.get("shape"), state.get("dtype"), state.get("order")
         if not isinstance(stub, _DtypeStub) or order not in ("C", "F"):
             raise DataError("malformed array header")
         if not (isinstance(shape, tuple) and all(isinstance(n, int) and 0 <= n < 2**31 for n in shape)):
-            raise DataError(f"malformed array shape {shape!r}")
+            raise DataError(f"malformed array shape {reprlib.repr(shape)}")
         if len(shape) > 8:
             raise DataError(f"array with {len(shape)} dimensions; expected at most 8")
         if stub.dtype.kind not in _FLAT_KINDS:

@@ -6,12 +6,11 @@ grasps). Sizes and masses are published facts about the YCB objects.
 
 from __future__ import annotations
 
-import difflib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from dgrasp.errors import DataError
+from dgrasp.objects.names import resolve_object
 from raisim_like.shapes import Shape
 
 MassSet = Literal["official", "ycb"]
@@ -80,10 +79,5 @@ _BY_NAME = {entry.name: entry for entry in CATALOGUE}
 
 
 def catalogue_object(name: str) -> CatalogueObject:
-    """The object of that name, such as "004_sugar_box"; `DataError` for any other name."""
-    try:
-        return _BY_NAME[name]
-    except KeyError:
-        close = difflib.get_close_matches(name, _BY_NAME, n=1)
-        hint = f"did you mean {close[0]!r}?" if close else "known objects: " + ", ".join(_BY_NAME)
-        raise DataError(f"unknown object {name!r}; {hint}") from None
+    """The object of that name, such as "004_sugar_box" (or "004"); `DataError` for an unknown one."""
+    return _BY_NAME[resolve_object(name)]

@@ -10,15 +10,18 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
-import trimesh
 
 from dgrasp.errors import DataError
 from dgrasp.objects.model import ObjectModel
 from dgrasp.types import Array
 from raisim_like.rotations import matrix_from_quaternion
 from raisim_like.shapes import Shape
+
+if TYPE_CHECKING:
+    import trimesh
 
 
 @dataclass(frozen=True)
@@ -92,6 +95,8 @@ def combine(parts: Iterable[MassProperties]) -> MassProperties:
 
 def load_mesh(path: Path) -> trimesh.Trimesh:
     """The triangles of a mesh file in m, its vertices merged; `DataError` names a missing or damaged file."""
+    import trimesh  # Late: it takes a second, which a worker with free objects need not spend.
+
     path = Path(path)
     if not path.is_file():
         raise DataError(
@@ -100,8 +105,8 @@ def load_mesh(path: Path) -> trimesh.Trimesh:
         )
     try:
         mesh = trimesh.load(path, force="mesh", skip_materials=True)
-    except Exception as error:
-        # The parsers behind trimesh raise many kinds of errors; for the user each means a damaged file.
+    except (ArithmeticError, AttributeError, LookupError, OSError, TypeError, ValueError) as error:
+        # trimesh's parsers trip over a damaged file in many ways; for the user they are all the same.
         raise DataError(f"{path}: cannot be read as a mesh ({type(error).__name__}: {error})") from None
     if not isinstance(mesh, trimesh.Trimesh) or len(mesh.faces) == 0 or not np.isfinite(mesh.vertices).all():
         raise DataError(f"{path}: expected a mesh with faces and finite vertices, found none")
@@ -116,11 +121,11 @@ def mesh_properties(path: Path, convex: bool = False) -> MassProperties:
     no volume, is replaced by its convex hull, and so is any mesh with `convex`.
     """
     mesh = load_mesh(path)
+    spread = np.linalg.svd(mesh.vertices - mesh.vertices.mean(axis=0), compute_uv=False)
+    if len(spread) < 3 or spread[2] < 1e-9 * spread[0]:
+        raise DataError(f"{path}: the mesh is flat; expected one that encloses a volume")
     if convex or not mesh.is_volume:
-        try:
-            mesh = mesh.convex_hull
-        except Exception as error:
-            raise DataError(f"{path}: no convex hull ({' '.join(str(error).split()[:12])}); is the mesh flat?") from None
+        mesh = mesh.convex_hull
     return MassProperties(float(mesh.volume), np.array(mesh.center_mass), np.array(mesh.moment_inertia))
 
 

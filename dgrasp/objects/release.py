@@ -22,10 +22,11 @@ def release_object(objects_dir: Path, name: str, masses: MassSet, official_compa
     entry = catalogue_object(name)
     shape = entry.collision
     if shape.file is not None:
-        shape = replace(shape, file=Path(objects_dir) / name / shape.file)
-        if not shape.file.is_file():
+        file = Path(objects_dir) / entry.name / shape.file
+        if not file.is_file():
             raise DataError(
-                f"{shape.file}: the collision mesh of {name} is missing; expected a release's objects folder with "
-                f"{name}/{shape.file.name}. Point --data at a folder that has it, or use --data free"
+                f"{file}: the collision mesh of {entry.name} is missing; expected a release's objects folder with "
+                f"{entry.name}/{file.name}. Point --data at a folder that has it, or use --data free"
             )
-    return object_model(name, (shape,), entry.mass(masses), official_compat)
+        shape = replace(shape, file=file)
+    return object_model(entry.name, (shape,), entry.mass(masses), official_compat)

@@ -1,0 +1,102 @@
+"""What the residual action is added to: one controller per phase and ablation (paper, equations 1 and 2).
+
+A controller gives the bias q_b (N, 51) of the PD target and the scale sigma (51,) of the action;
+the target is q_b + sigma * a, clipped to the joint limits.
+"""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import numpy as np
+
+from dgrasp.config import ActionConfig
+from dgrasp.env.features import goal_wrist_position_W
+from dgrasp.hand.skeleton import N_DOF
+from dgrasp.types import Array, GraspGoal, SceneState
+from raisim_like.rotations import rotate_back
+
+HOLD_KP_POSITION = 500.0
+"""N/m of the wrist's translation while it holds or carries the object (ERRATA 14 in docs/deviations.md)."""
+
+
+class Controller(Protocol):
+    """Bias and action scale of one phase; `kp_position` and `carries` say how stiff the wrist is."""
+
+    sigma: Array
+    kp_position: float
+    carries: bool
+
+    def bias(self, state: SceneState, goal: GraspGoal, out: Array) -> None:
+        """Writes q_b into out (N, 51)."""
+
+
+def _sigma(config: ActionConfig, wrist_position: float) -> Array:
+    sigma = np.full(N_DOF, config.sigma_fingers)
+    sigma[:3] = wrist_position
+    sigma[3:6] = config.sigma_wrist_rotation
+    return sigma
+
+
+class WristGuidance:
+    """The wrist's position is biased to the label's, relative to the object now; the rest stays where it is.
+
+    Paper, section 3.2.3.
+    """
+
+    carries = False
+
+    def __init__(self, config: ActionConfig) -> None:
+        self.sigma = _sigma(config, config.sigma_wrist_position)
+        self.kp_position = config.kp_position
+
+    def bias(self, state: SceneState, goal: GraspGoal, out: Array) -> None:
+        out[:] = state.gc
+        out[:, :3] = rotate_back(state.R_WH0, goal_wrist_position_W(state, goal) - state.wrist_start_W)
+
+
+class Residual:
+    """All joints are biased to where they are (the ablation "w/o WristGuidance"); the wrist moves 10 times more."""
+
+    carries = False
+
+    def __init__(self, config: ActionConfig) -> None:
+        self.sigma = _sigma(config, 10.0 * config.sigma_wrist_position)
+        self.kp_position = config.kp_position
+
+    def bias(self, state: SceneState, goal: GraspGoal, out: Array) -> None:
+        out[:] = state.gc
+
+
+class WristHold:
+    """The wrist stays at the pose that it had when this controller began; the policy keeps the fingers."""
+
+    carries = True
+    kp_position = HOLD_KP_POSITION
+
+    def __init__(self, config: ActionConfig, state: SceneState) -> None:
+        self.sigma = _sigma(config, 0.0)
+        self.sigma[:6] = 0.0
+        self._wrist = state.gc[:, :6].copy()
+
+    def bias(self, state: SceneState, goal: GraspGoal, out: Array) -> None:
+        out[:] = state.gc
+        out[:, :6] = self._wrist
+
+
+class LabelPose:
+    """Wrist and fingers at the label's pose (the baseline *+PD, supplement B.4); actions have no effect."""
+
+    carries = True
+    kp_position = HOLD_KP_POSITION
+
+    def __init__(self, config: ActionConfig) -> None:
+        self.sigma = np.zeros(N_DOF)
+
+    def bias(self, state: SceneState, goal: GraspGoal, out: Array) -> None:
+        out[:, :6] = 0.0
+        out[:, 6:] = goal.hand_pose
+
+
+GRASP_CONTROLLERS = {"guidance": WristGuidance, "residual": Residual}
+"""By the name in `env.wrist`."""

@@ -1,0 +1,203 @@
+"""Which hand, objects and labels an experiment uses: found in a stated order, and said aloud.
+
+Order: what the config names (a folder, or "free"); the environment's DGRASP_DATA, then DEX_YCB_DIR if it is
+laid out like the authors' release; such a folder under data/; the free set that ships.
+"""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+from dgrasp.config import Config
+from dgrasp.errors import DataError
+from dgrasp.labels.source import RELEASE_FILES, SOURCES, SPLITS, LabelSet, load_labels, select, sha256_of
+from dgrasp.objects.names import nearest
+from dgrasp.paths import data_root, user_data_root
+
+Kind = Literal["free", "release"]
+_HAND_FILES: dict[Kind, str] = {"release": "mano_mean.urdf", "free": "free_hand.urdf"}
+_HAND_IDS: dict[Kind, str] = {"release": "mano_mean", "free": "free"}
+_HAND_OF_FILE = {"free_hand": "free", "mano_mean_meshcoll": "mano_mean", "mano_mean_nocoll": "mano_mean"}
+_LAYOUT = "a folder laid out like the authors' release (hand/mano_mean.urdf, objects/NAME/*.obj, labels/*.pkl)"
+
+
+@dataclass(frozen=True)
+class DataChoice:
+    """What an experiment uses.
+
+    root: the folder. kind: "release" (laid out like the authors') or "free". hand_urdf, hand: the hand's file
+    and id. objects_dir: folder of object meshes. labels: the chosen labels. licence: the terms for using them.
+    source, split: which labels by name ("file" where a file outside the release was given).
+    comparable_with_paper: the paper's hand and labels. notes: remarks on how the choice came about.
+    """
+
+    root: Path
+    kind: Kind
+    hand_urdf: Path
+    hand: str
+    hand_sha256: str
+    objects_dir: Path
+    labels: LabelSet
+    licence: str
+    source: str
+    split: str
+    comparable_with_paper: bool
+    notes: tuple[str, ...] = ()
+
+    def stamp(self) -> dict[str, Any]:
+        """What was used, for results and run folders; plain JSON values, no machine's paths."""
+        return {
+            "kind": self.kind,
+            "hand": self.hand,
+            "labels": self.labels.source.name,
+            "source": self.source,
+            "split": self.split,
+            "n_labels": len(self.labels.labels),
+            "n_objects": len(self.labels.objects),
+            "licence": self.licence,
+            "hand_file": self.hand_urdf.name,
+            "hand_sha256": self.hand_sha256,
+            "labels_sha256": self.labels.sha256,
+            "comparable_with_paper": self.comparable_with_paper,
+        }
+
+    def describe(self) -> str:
+        """One line: which hand, which labels, how many, under which licence."""
+        which = f"{self.source} {self.split}" if self.source != "file" else "a file's"
+        line = (f"data {self.kind} ({self.root}): hand {self.hand}, {which} labels ({self.labels.source.name}), "
+                f"{len(self.labels.labels)} of {len(self.labels.objects)} objects; licence: {self.licence}")
+        return "; ".join([line, *self.notes])
+
+
+def resolve(config: Config) -> DataChoice:
+    """Find the data of an experiment.
+
+    Raises `DataError` for anything named that does not exist (it says what was looked for and what is there),
+    for labels made for another hand, and, with `fallback: error`, where just the free set is left.
+    """
+    root, notes = _find_root(config)
+    kind: Kind = "free" if _is_free(root) else "release"
+    if kind == "release" and not os.path.isdir(root / "objects"):
+        raise DataError(f"{root}: no folder objects/; expected {_LAYOUT}")
+    hand_urdf, hand = _hand(config, root, kind)
+    path, named = _label_file(config, root, kind)
+    labels = load_labels(path)
+    source, split = named or labels.published_as or ("file", "file")
+    if labels.hand != hand:
+        raise DataError(f"{path}: labels made for the hand {labels.hand!r}, but the hand of {root} is {hand!r}; "
+                        "a grasp fits one hand alone: choose data or labels that go together (--data, --labels, hand=)")
+    comparable = kind == "release" and labels.comparable_with_paper and hand_urdf == root / "hand" / _HAND_FILES[kind]
+    return DataChoice(
+        root=root, kind=kind, hand_urdf=hand_urdf, hand=hand, hand_sha256=sha256_of(hand_urdf),
+        objects_dir=root / "objects", labels=select(labels, config.labels.objects, config.labels.limit_per_object),
+        licence=labels.licence, source=source, split=split, comparable_with_paper=comparable, notes=tuple(notes),
+    )
+
+
+def _is_free(folder: Path) -> bool:
+    return os.path.isfile(folder / "hand" / _HAND_FILES["free"])
+
+
+def _is_release(folder: Path) -> bool:
+    return os.path.isdir(folder / "labels") and not _is_free(folder)
+
+
+def _holds_recordings(folder: Path) -> bool:
+    """Whether the folder is DexYCB itself: subject/sequence/meta.yml."""
+    try:
+        return next(folder.glob("*/*/meta.yml"), None) is not None
+    except OSError:
+        return False
+
+
+def _contents(folder: Path) -> str:
+    try:
+        names = sorted(p.name + "/" * p.is_dir() for p in folder.iterdir())
+    except OSError as error:
+        return error.strerror or str(error)
+    return ", ".join(names[:20]) + (", ..." if len(names) > 20 else "") or "nothing"
+
+
+def _find_root(config: Config) -> tuple[Path, list[str]]:
+    """The data folder and remarks for the user."""
+    if config.data is not None:
+        return _named_root(config.data, "data"), []
+    if os.environ.get("DGRASP_DATA"):
+        return _named_root(os.environ["DGRASP_DATA"], "DGRASP_DATA"), ["from DGRASP_DATA"]
+    looked = ["config key data (not set)", "DGRASP_DATA (not set)"]
+    notes: list[str] = []
+    candidates = []
+    if os.environ.get("DEX_YCB_DIR"):
+        candidates.append(("DEX_YCB_DIR", Path(os.path.expanduser(os.environ["DEX_YCB_DIR"]))))
+    else:
+        looked.append("DEX_YCB_DIR (not set)")
+    here = user_data_root()
+    others = sorted(p for p in here.iterdir() if p.name not in ("free", "dexycb")) if os.path.isdir(here) else []
+    candidates += [("data", folder) for folder in (here / "dexycb", *others)]
+    for name, folder in candidates:
+        if _is_release(folder):
+            return folder, notes + ([f"from {name}"] if name != "data" else [])
+        if _holds_recordings(folder):
+            notes.append(f"{folder} ({name}) holds DexYCB's raw recordings, which are not read directly")
+            looked.append(f"{folder} ({name}: raw recordings, which are not read directly)")
+        elif name != "data" or folder.name == "dexycb":
+            looked.append(f"{folder} ({name}: " + ("no labels/ in it)" if os.path.isdir(folder) else "no such folder)"))
+    if config.fallback == "error":
+        raise DataError(f"no data found and `fallback: error` forbids the free set; looked at {', '.join(looked)}; and "
+                        f"at every folder in {here} for labels/; expected {_LAYOUT}; name it with --data, or choose "
+                        "--data free")
+    return _named_root("free", "data"), notes
+
+
+def _named_root(name: str, origin: str) -> Path:
+    """The folder called `name` ("free" is what ships), which must be usable."""
+    folder = data_root() / "free" if name == "free" else Path(os.path.expanduser(name))
+    if not name or not os.path.isdir(folder):
+        raise DataError(f"{origin}: no folder {str(folder)!r}; expected \"free\" or {_LAYOUT}")
+    if not (_is_free(folder) or _is_release(folder)):
+        raw = _holds_recordings(folder)
+        held = "DexYCB's raw recordings, which are not read directly" if raw else _contents(folder)
+        raise DataError(f"{origin}: {folder} has no labels/; it holds {held}; expected {_LAYOUT}")
+    return folder
+
+
+def _hand(config: Config, root: Path, kind: Kind) -> tuple[Path, str]:
+    """The hand's URDF and id: the data's own, or what the config names (an id, or a URDF file).
+
+    A file's id is its name without the suffix; the release's variants of its hand keep the id mano_mean.
+    """
+    default, own = root / "hand" / _HAND_FILES[kind], _HAND_IDS[kind]
+    if config.hand is not None and config.hand != own:
+        path = Path(os.path.expanduser(config.hand))
+        if not os.path.isfile(path):
+            raise DataError(f"hand: neither the hand of {root} ({own!r}) nor a file: {config.hand!r}; give that name, "
+                            "a URDF file, or other data (--data)")
+        return path, _HAND_OF_FILE.get(path.stem, path.stem)
+    if not os.path.isfile(default):
+        raise DataError(f"{default}: no such hand; in its folder: {_contents(default.parent)}; expected "
+                        f"{_LAYOUT}")
+    return default, own
+
+
+def _label_file(config: Config, root: Path, kind: Kind) -> tuple[Path, tuple[str, str] | None]:
+    """The label file; with its source and split where the config names them, not a file."""
+    source, split, folder = config.labels.source, config.labels.split, root / "labels"
+    if source in SOURCES:
+        if kind == "free" and source != "dexycb":
+            raise DataError(f"labels.source: the free set has no labels of {source}; expected dexycb, which names the "
+                            f"free labels there, or --data with {_LAYOUT}")
+        files = RELEASE_FILES if kind == "release" else {("dexycb", s): f"free_{s}.npz" for s in SPLITS}
+        path = folder / files[source, split]
+        if os.path.isfile(path):
+            return path, (source if kind == "release" else "free", split)
+        there = [f"{s} {t}" for (s, t), name in files.items() if os.path.isfile(folder / name)]
+        raise DataError(f"{path}: no {split} split of {source} labels here; there is: {', '.join(there) or 'none'}; "
+                        "only the splits that are there exist")
+    for path in (Path(os.path.expanduser(source)), folder / source):
+        if source and os.path.isfile(path):
+            return path, None
+    raise DataError(f"labels.source: {source!r} is neither {', '.join(SOURCES)} nor a file (here or in {folder})"
+                    f"{nearest(source, SOURCES)}")

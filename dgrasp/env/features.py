@@ -1,0 +1,126 @@
+"""Feature layers: what the policy sees of a state and a goal (paper, section 3.2.1; supplement, A.1).
+
+Every layer is a list of `Feature`s; sizes, slices and the table in docs/features.md come from it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from dgrasp.types import Array, GraspGoal, SceneState
+from raisim_like.rotations import euler_from_matrix, rotate, rotate_back
+
+
+@dataclass
+class Relations:
+    """What features and rewards share about N states, computed once per control step.
+
+    joint_position_error_H: (N, 21, 3), goal minus current key points, in the wrist frame (g_x).
+    pose_error: (N, 48), wrist Euler angles in the object frame, then finger angles; goal minus current (g_q).
+    """
+
+    joint_position_error_H: Array
+    pose_error: Array
+
+
+def relations(state: SceneState, goal: GraspGoal) -> Relations:
+    """g_x and g_q (supplement, A.1)."""
+    n = len(state.gc)
+    target_W = state.object_pos_W[:, None] + np.matmul(goal.joints_O, np.swapaxes(state.R_WO, 1, 2))
+    error_H = np.matmul(target_W - state.joints_W, state.R_WH)
+    pose = np.empty((n, 48))
+    R_OH = np.matmul(np.swapaxes(state.R_WO, 1, 2), state.R_WH)
+    pose[:, :3] = goal.wrist_euler_O - euler_from_matrix(R_OH)
+    pose[:, 3:] = goal.hand_pose - state.gc[:, 6:]
+    return Relations(error_H, pose)
+
+
+Term = Callable[[SceneState, GraspGoal, Relations], Array]
+
+
+@dataclass(frozen=True)
+class Feature:
+    """One block of the observation: its size, frame and unit, and the function that gives (N, size)."""
+
+    name: str
+    size: int
+    frame: str
+    unit: str
+    value: Term
+    is_goal: bool = False
+
+
+def _table_height_H(s: SceneState, g: GraspGoal, r: Relations) -> Array:
+    up = np.zeros((len(s.gc), 3))
+    up[:, 2] = s.joints_W[:, 0, 2] - s.table_height_W
+    return rotate_back(s.R_WH, up)
+
+
+PHI: tuple[Feature, ...] = (
+    Feature("joint_positions", 51, "H0", "m, rad", lambda s, g, r: s.gc),
+    Feature("wrist_linvel", 3, "H0", "m/s", lambda s, g, r: s.gv[:, 0:3]),
+    Feature("wrist_angvel", 3, "H0 (Euler rates)", "rad/s", lambda s, g, r: s.gv[:, 3:6]),
+    Feature("finger_velocities", 45, "joint", "rad/s", lambda s, g, r: s.gv[:, 6:]),
+    Feature("joint_position_error_H", 63, "H", "m", lambda s, g, r: r.joint_position_error_H.reshape(-1, 63), True),
+    Feature("pose_error", 48, "O (wrist), joint", "rad", lambda s, g, r: r.pose_error, True),
+    Feature("wrist_from_object_H", 3, "H", "m", lambda s, g, r: rotate_back(s.R_WH, s.joints_W[:, 0] - s.object_pos_W)),
+    Feature("object_linvel_H", 3, "H", "m/s", lambda s, g, r: rotate_back(s.R_WH, s.object_linvel_W)),
+    Feature("object_angvel_H", 3, "H", "rad/s", lambda s, g, r: rotate_back(s.R_WH, s.object_angvel_W)),
+    Feature("goal_contacts", 16, "-", "0/1", lambda s, g, r: g.goal_contacts, True),
+    Feature("contact_impulse", 16, "-", "N s", lambda s, g, r: s.contact_impulse),
+    Feature("achieved_contacts", 16, "-", "0/1", lambda s, g, r: g.goal_contacts * s.contacts, True),
+    Feature(
+        "object_displacement_H", 3, "H", "m", lambda s, g, r: rotate_back(s.R_WH, s.object_start_W - s.object_pos_W)
+    ),
+    Feature("table_height_H", 3, "H", "m", _table_height_H),
+    Feature(
+        "object_euler_H", 3, "H", "rad",
+        lambda s, g, r: euler_from_matrix(np.matmul(np.swapaxes(s.R_WH, 1, 2), s.R_WO)),
+    ),
+)  # fmt: skip
+"""phi, the published order of 279 numbers (paper, equation 3)."""
+
+FULL_STATE: tuple[Feature, ...] = (
+    Feature("joint_positions", 51, "H0", "m, rad", lambda s, g, r: s.gc),
+    Feature("joint_velocities", 51, "H0, joint", "m/s, rad/s", lambda s, g, r: s.gv),
+    Feature("wrist_position_W", 3, "W", "m", lambda s, g, r: s.joints_W[:, 0]),
+    Feature("wrist_euler_W", 3, "W", "rad", lambda s, g, r: euler_from_matrix(s.R_WH)),
+    Feature("object_position_W", 3, "W", "m", lambda s, g, r: s.object_pos_W),
+    Feature("object_euler_W", 3, "W", "rad", lambda s, g, r: euler_from_matrix(s.R_WO)),
+    Feature("object_linvel_W", 3, "W", "m/s", lambda s, g, r: s.object_linvel_W),
+    Feature("object_angvel_W", 3, "W", "rad/s", lambda s, g, r: s.object_angvel_W),
+    Feature("contact_impulse", 16, "-", "N s", lambda s, g, r: s.contact_impulse),
+    Feature("label_joints_O", 63, "O", "m", lambda s, g, r: g.joints_O.reshape(-1, 63), True),
+    Feature("label_wrist_euler_O", 3, "O", "rad", lambda s, g, r: g.wrist_euler_O, True),
+    Feature("label_hand_pose", 45, "joint", "rad", lambda s, g, r: g.hand_pose, True),
+    Feature("goal_contacts", 16, "-", "0/1", lambda s, g, r: g.goal_contacts, True),
+)
+"""The state and the label without the feature layer (the paper's ablation "w/o FeatLayer")."""
+
+FEATURE_LAYERS = {"phi": PHI, "full_state": FULL_STATE}
+
+
+class FeatureLayer:
+    """A list of features as one observation (N, size) float32; the goal's blocks can be left out."""
+
+    def __init__(self, name: str, goal_space: bool = True) -> None:
+        self.features = tuple(f for f in FEATURE_LAYERS[name] if goal_space or not f.is_goal)
+        self.slices: dict[str, slice] = {}
+        start = 0
+        for feature in self.features:
+            self.slices[feature.name] = slice(start, start + feature.size)
+            start += feature.size
+        self.size = start
+
+    def __call__(self, state: SceneState, goal: GraspGoal, r: Relations, out: Array) -> None:
+        """Writes the observation into out (N, size)."""
+        for feature, part in zip(self.features, self.slices.values(), strict=True):
+            out[:, part] = feature.value(state, goal, r)
+
+
+def goal_wrist_position_W(state: SceneState, goal: GraspGoal) -> Array:
+    """(N, 3): where the label's wrist would be, given where the object is now."""
+    return state.object_pos_W + rotate(state.R_WO, goal.joints_O[:, 0])

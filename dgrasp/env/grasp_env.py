@@ -1,0 +1,266 @@
+"""The grasping task for N labels at once: reset, step, and the phases of training and testing."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+
+from dgrasp.config import Config
+from dgrasp.control.controllers import GRASP_CONTROLLERS, Controller, LabelPose, WristHold
+from dgrasp.env.features import FeatureLayer, relations
+from dgrasp.env.goal import make_goal
+from dgrasp.env.rewards import Reward
+from dgrasp.env.start import start_pose
+from dgrasp.env.state import state_views
+from dgrasp.hand.model import HandModel
+from dgrasp.hand.skeleton import N_DOF
+from dgrasp.objects.model import ObjectModel
+from dgrasp.scene.scene import LOWERED_TOP, TABLE_TOP, Scene
+from dgrasp.types import Array, GraspLabel, SceneState, StartPose
+from raisim_like.rotations import matrix_from_euler, matrix_from_quaternion
+from raisim_like.world import integrate
+
+Mode = Literal["train", "test", "label"]
+"""train: noisy start, table stays, ended episodes restart. test: exact start, nothing restarts.
+label: hand and object in the label's pose, no table (the baselines' start)."""
+
+MAX_SPEED = 50.0
+"""m/s of the object, beyond which the simulation has exploded."""
+
+
+@dataclass
+class StepArrays:
+    """What a step writes, one row per environment; the pool may lay these over shared memory."""
+
+    observation: Array
+    final_observation: Array
+    reward: Array
+    reward_terms: Array
+    terminated: Array
+    truncated: Array
+
+    @classmethod
+    def allocate(cls, n: int, observation_size: int, n_terms: int) -> StepArrays:
+        """Fresh arrays: float32, and bool for the two ends."""
+        return cls(
+            np.zeros((n, observation_size), np.float32),
+            np.zeros((n, observation_size), np.float32),
+            np.zeros(n, np.float32),
+            np.zeros((n, n_terms), np.float32),
+            np.zeros(n, bool),
+            np.zeros(n, bool),
+        )
+
+
+@dataclass
+class GraspEnv:
+    """N environments, one label each, stepped together.
+
+    `first_index` is the place of the first label in the whole set: it seeds the environment, so that an
+    environment's noise does not depend on how the set is divided over processes.
+    """
+
+    labels: Sequence[GraspLabel]
+    hand: HandModel
+    objects: Mapping[str, ObjectModel]
+    config: Config
+    first_index: int = 0
+    state: SceneState | None = None
+    out: StepArrays | None = None
+    make_scene: Callable[..., Scene] = Scene
+    events: list[str] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        n = len(self.labels)
+        env = self.config.env
+        self.num_envs, self.action_size = n, N_DOF
+        self.layer = FeatureLayer(env.features, env.goal_space)
+        self.observation_size = self.layer.size
+        self.reward = Reward(env.reward)
+        self.reward_terms = self.reward.names
+        self.s = state_views(n) if self.state is None else self.state
+        self.o = StepArrays.allocate(n, self.layer.size, len(self.reward.names)) if self.out is None else self.out
+        self.goal = make_goal(self.labels)
+        self.starts = [start_pose(label, self.objects[label.object_id]) for label in self.labels]
+        self.scenes = [self._new_scene(i) for i in range(n)]
+        self.s.object_mass[:] = [scene.object_model.mass for scene in self.scenes]
+        self._object_state = np.zeros((n, 13))
+        self._target = np.zeros((n, N_DOF))
+        self._limits = self.hand.limits.T.copy()
+        self._rng: list[np.random.Generator] = []
+        self.mode: Mode = "train"
+        self.control: Controller = GRASP_CONTROLLERS[env.wrist](env.action)
+        self.alive = np.ones(n, bool)
+        self.clock = np.zeros(n, int)
+
+    def _new_scene(self, i: int) -> Scene:
+        model = self.objects[self.labels[i].object_id]
+        return self.make_scene(self.hand, model, self.config.physics, self.config.engine)
+
+    def close(self) -> None:
+        """Free all worlds."""
+        for scene in self.scenes:
+            scene.close()
+
+    @property
+    def step_seconds(self) -> float:
+        """Wall seconds spent inside the engine's step so far."""
+        return sum(scene.world.engine_world.step_seconds for scene in self.scenes)
+
+    # Reset -------------------------------------------------------------------------------------
+
+    def reset(self, epoch: int = 0, mode: Mode = "train") -> Array:
+        """Start all episodes; the noise depends on (config.seed, epoch, environment). Returns (N, O)."""
+        env = self.config.env
+        self.mode = mode
+        self._rng = [
+            np.random.default_rng([self.config.seed, epoch, self.first_index + i]) for i in range(self.num_envs)
+        ]
+        self.control = LabelPose(env.action) if mode == "label" else GRASP_CONTROLLERS[env.wrist](env.action)
+        for i in range(self.num_envs):
+            if not self.alive[i]:
+                self._rebuild(i)
+            self._place(i)
+        self.alive[:] = True
+        self._derive(slice(None))
+        self._observe(self.o.observation)
+        self.o.terminated[:], self.o.truncated[:] = False, False
+        return self.o.observation
+
+    def _rebuild(self, i: int) -> None:
+        """A world that exploded keeps its NaNs; only a new one is clean."""
+        self.scenes[i].close()
+        self.scenes[i] = self._new_scene(i)
+
+    def _place(self, i: int) -> None:
+        scene, label = self.scenes[i], self.labels[i]
+        if self.mode == "label":
+            start = StartPose(label.T_WH, label.T_WO, label.hand_pose)
+        else:
+            start = self.starts[i]
+            if self.mode == "train":
+                start = self._with_noise(start, self._rng[i])
+        scene.set_table_top(LOWERED_TOP if self.mode == "label" else TABLE_TOP)
+        scene.place(start.T_WH, start.hand_pose, start.T_WO)
+        scene.set_gains(
+            self.config.env.action, self.control.kp_position, scene.object_model.mass if self.control.carries else 0.0
+        )
+        s = self.s
+        s.R_WH0[i], s.wrist_start_W[i] = start.T_WH[:3, :3], start.T_WH[:3, 3]
+        s.object_start_W[i] = start.T_WO[:3, 3]
+        s.table_height_W[i] = TABLE_TOP
+        s.contact_impulse[i] = 0.0
+        s.table_contact[i] = 0.0
+        self._engine_state(i)
+        s.contact_impulse[i] = 0.0  # A world just placed still reports the contacts of its last step.
+        self.clock[i] = 0
+
+    def _with_noise(self, start: StartPose, rng: np.random.Generator) -> StartPose:
+        noise = self.config.env.noise
+        T = start.T_WH.copy()
+        half = np.array([noise.wrist_xy, noise.wrist_xy, noise.wrist_z])
+        T[:3, 3] += rng.uniform(-half, half)
+        T[:3, :3] = T[:3, :3] @ matrix_from_euler(rng.uniform(-noise.wrist_angle, noise.wrist_angle, 3))
+        pose = start.hand_pose + rng.uniform(-noise.finger_angle, noise.finger_angle, 45)
+        return StartPose(T, start.T_WO, pose)
+
+    # Step --------------------------------------------------------------------------------------
+
+    def step(self, actions: Array) -> StepArrays:
+        """One control step with residual actions (N, 51)."""
+        self.control.bias(self.s, self.goal, self._target)
+        self._target += self.control.sigma * actions
+        np.clip(self._target, self._limits[0], self._limits[1], out=self._target)
+        self._advance()
+        broken = self._broken()
+        self._derive(slice(None))
+        r = relations(self.s, self.goal)
+        self.reward(self.s, self.goal, r, self.o.reward_terms, self.o.reward)
+        self.layer(self.s, self.goal, r, self.o.observation)
+        self.clock += self.alive
+        self.o.terminated[:] = broken
+        self.o.truncated[:] = False
+        if broken.any():
+            self._bury(np.flatnonzero(broken))
+        if self.mode == "train":
+            self.o.truncated[:] = ~broken & (self.clock >= self.config.env.episode_steps)
+            ended = np.flatnonzero(broken | self.o.truncated)
+            if len(ended):
+                self._restart(ended)
+        return self.o
+
+    def remove_table(self) -> None:
+        """Take the table away and hold the wrist where it is: the stability test begins."""
+        self.control = WristHold(self.config.env.action, self.s)
+        for scene in self.scenes:
+            scene.set_table_top(LOWERED_TOP)
+            scene.set_gains(self.config.env.action, self.control.kp_position, scene.object_model.mass)
+
+    def _advance(self) -> None:
+        """The physics of one control step, for the worlds that have not exploded."""
+        worlds = []
+        for i in np.flatnonzero(self.alive):
+            self.scenes[i].set_target(self._target[i])
+            worlds.append(self.scenes[i].world)
+        integrate(worlds, self.config.physics.substeps)
+        for i in np.flatnonzero(self.alive):
+            self._engine_state(i)
+            if self.mode != "train":
+                self.s.table_contact[i] = self.scenes[i].touches_table()
+
+    def _engine_state(self, i: int) -> None:
+        self.scenes[i].read(self.s.gc[i], self.s.gv[i], self.s.contact_impulse[i], self._object_state[i])
+
+    def _derive(self, rows: slice | Array) -> None:
+        """Everything in the state that follows from what the engine reported."""
+        s, body = self.s, self._object_state[rows]
+        s.object_pos_W[rows] = body[:, :3]
+        s.R_WO[rows] = matrix_from_quaternion(body[:, 3:7])
+        s.object_linvel_W[rows], s.object_angvel_W[rows] = body[:, 7:10], body[:, 10:13]
+        s.contacts[rows] = s.contact_impulse[rows] > 0.0
+        s.R_WH[rows], s.joints_W[rows] = self.hand.forward(s.gc[rows], s.R_WH0[rows], s.wrist_start_W[rows])
+
+    def _observe(self, out: Array) -> None:
+        self.layer(self.s, self.goal, relations(self.s, self.goal), out)
+
+    # Ends --------------------------------------------------------------------------------------
+
+    def _broken(self) -> Array:
+        """(N,) bool: this step made the state infinite, NaN or absurdly fast."""
+        speed = np.abs(self._object_state[:, 7:10]).max(axis=1)
+        sane = (
+            np.isfinite(self.s.gc).all(axis=1)
+            & np.isfinite(self.s.gv).all(axis=1)
+            & np.isfinite(self._object_state).all(axis=1)
+            & (speed < MAX_SPEED)
+        )
+        return self.alive & ~sane
+
+    def _bury(self, ids: Array) -> None:
+        """End broken episodes: report them, and keep what they left out of observation and reward."""
+        for i in ids:
+            label = self.labels[i]
+            self.events.append(
+                f"unstable simulation ended an episode: env {self.first_index + i}, label {label.name}, "
+                f"step {int(self.clock[i])}"
+            )
+            self._rebuild(i)
+            self._place(i)
+            self.alive[i] = self.mode == "train"
+        self._derive(ids)
+        # The state that broke has no value to learn from: the episode ends with nothing gained.
+        self.o.reward[ids], self.o.reward_terms[ids] = 0.0, 0.0
+        self._observe(self.o.observation)
+        self.o.final_observation[ids] = self.o.observation[ids]
+
+    def _restart(self, ids: Array) -> None:
+        """Same-step autoreset of ended episodes; `final_observation` keeps how they ended."""
+        timed_out = ids[~self.o.terminated[ids]]
+        self.o.final_observation[timed_out] = self.o.observation[timed_out]
+        for i in timed_out:
+            self._place(i)
+        self._derive(ids)
+        self._observe(self.o.observation)

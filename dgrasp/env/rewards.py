@@ -1,0 +1,94 @@
+"""The grasping reward as a sum of named terms (paper, section 3.2.2; docs/deviations.md for the differences)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from dgrasp.config import RewardConfig
+from dgrasp.env.features import Relations
+from dgrasp.hand.skeleton import N_KEYPOINTS, TIPS
+from dgrasp.types import Array, GraspGoal, SceneState
+
+Term = Callable[[SceneState, GraspGoal, Relations, RewardConfig], Array]
+
+
+def keypoint_weights(config: RewardConfig) -> Array:
+    """(21,) w_x,j: fingertips count `tip_weight` times, mean 1."""
+    weights = np.ones(N_KEYPOINTS)
+    weights[list(TIPS)] = config.tip_weight
+    return weights / weights.mean()
+
+
+def position_reward(s: SceneState, g: GraspGoal, r: Relations, c: RewardConfig) -> Array:
+    """r_x = -sum_j |w_j x_j|^2 (equation 5; the paper writes w_j |x_j|^2), m^2, floored."""
+    w = keypoint_weights(c)
+    squares = np.sum(r.joint_position_error_H**2, axis=2)
+    return np.maximum(-np.sum((w**2 if c.squared_weights else w) * squares, axis=1), c.position_floor)
+
+
+def pose_reward(s: SceneState, g: GraspGoal, r: Relations, c: RewardConfig) -> Array:
+    """r_q = -|g_q| (equation 6), rad, floored."""
+    return np.maximum(-np.sqrt(np.sum(r.pose_error**2, axis=1)), c.position_floor)
+
+
+def contact_reward(s: SceneState, g: GraspGoal, r: Relations, c: RewardConfig) -> Array:
+    """Fraction of goal contacts achieved (equation 7, first part)."""
+    wanted = np.maximum(np.sum(g.goal_contacts, axis=1), 1.0)
+    return np.sum(g.goal_contacts * s.contacts, axis=1) / wanted
+
+
+def impulse_reward(s: SceneState, g: GraspGoal, r: Relations, c: RewardConfig) -> Array:
+    """Impulse on goal parts, capped by lambda m_o (equation 7, second part), N s per substep."""
+    impulse = np.sum(g.goal_contacts * s.contact_impulse, axis=1)
+    return np.minimum(impulse, c.impulse_per_mass * s.object_mass)
+
+
+def object_velocity_penalty(s: SceneState, g: GraspGoal, r: Relations, c: RewardConfig) -> Array:
+    """Squared linear velocity of the object (equation 8), m^2/s^2."""
+    return np.sum(s.object_linvel_W**2, axis=1)
+
+
+def object_angular_velocity_penalty(s: SceneState, g: GraspGoal, r: Relations, c: RewardConfig) -> Array:
+    """Squared angular velocity of the object (equation 8), rad^2/s^2."""
+    return np.sum(s.object_angvel_W**2, axis=1)
+
+
+def wrist_linvel_penalty(s: SceneState, g: GraspGoal, r: Relations, c: RewardConfig) -> Array:
+    """Squared rates of the wrist's translation (equation 8), m^2/s^2."""
+    return np.sum(s.gv[:, 0:3] ** 2, axis=1)
+
+
+def wrist_angvel_penalty(s: SceneState, g: GraspGoal, r: Relations, c: RewardConfig) -> Array:
+    """Squared rates of the wrist's Euler angles (equation 8), rad^2/s^2."""
+    return np.sum(s.gv[:, 3:6] ** 2, axis=1)
+
+
+TERMS: dict[str, Term] = {
+    "position": position_reward,
+    "pose": pose_reward,
+    "contact": contact_reward,
+    "impulse": impulse_reward,
+    "object_velocity": object_velocity_penalty,
+    "object_angular_velocity": object_angular_velocity_penalty,
+    "wrist_linear_velocity": wrist_linvel_penalty,
+    "wrist_angular_velocity": wrist_angvel_penalty,
+}
+"""Every term, by the name of its weight in `RewardConfig`."""
+
+
+class Reward:
+    """Weighs, sums and reports the terms whose weight is not zero."""
+
+    def __init__(self, config: RewardConfig) -> None:
+        self.config = config
+        self.names = tuple(name for name in TERMS if getattr(config, name) != 0.0)
+        self._weights = np.array([getattr(config, name) for name in self.names])
+
+    def __call__(self, state: SceneState, goal: GraspGoal, r: Relations, terms: Array, total: Array) -> None:
+        """Writes the weighted terms (N, len(names)) and their sum (N,)."""
+        for i, name in enumerate(self.names):
+            terms[:, i] = self._weights[i] * TERMS[name](state, goal, r, self.config)
+        summed = terms.sum(axis=1, dtype=np.float64)
+        total[:] = summed if self.config.clip is None else np.maximum(summed, self.config.clip)

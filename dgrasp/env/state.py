@@ -1,0 +1,49 @@
+"""The arrays of `SceneState` for N environments, in one block that may live in shared memory."""
+
+from __future__ import annotations
+
+from dataclasses import fields
+
+import numpy as np
+
+from dgrasp.hand.skeleton import N_DOF, N_KEYPOINTS, N_PARTS
+from dgrasp.types import Array, SceneState
+
+_SHAPES: dict[str, tuple[int, ...]] = {
+    "gc": (N_DOF,),
+    "gv": (N_DOF,),
+    "R_WH0": (3, 3),
+    "wrist_start_W": (3,),
+    "R_WH": (3, 3),
+    "joints_W": (N_KEYPOINTS, 3),
+    "R_WO": (3, 3),
+    "object_pos_W": (3,),
+    "object_linvel_W": (3,),
+    "object_angvel_W": (3,),
+    "contacts": (N_PARTS,),
+    "contact_impulse": (N_PARTS,),
+    "object_start_W": (3,),
+    "table_height_W": (),
+    "object_mass": (),
+    "table_contact": (),
+}
+
+STATE_SIZE = sum(int(np.prod(shape)) for shape in _SHAPES.values())
+"""float64 numbers per environment."""
+
+
+def state_views(n: int, buffer: Array | None = None) -> SceneState:
+    """A `SceneState` of N environments whose arrays are views of one buffer (N * STATE_SIZE float64)."""
+    if buffer is None:
+        buffer = np.zeros(n * STATE_SIZE)
+    views, offset = {}, 0
+    for name, shape in _SHAPES.items():
+        size = n * int(np.prod(shape))
+        views[name] = buffer[offset : offset + size].reshape(n, *shape)
+        offset += size
+    return SceneState(**views)
+
+
+def slice_state(state: SceneState, rows: slice) -> SceneState:
+    """The views of some environments."""
+    return SceneState(**{f.name: getattr(state, f.name)[rows] for f in fields(state)})

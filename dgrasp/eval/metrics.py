@@ -1,0 +1,102 @@
+"""The paper's metrics of one evaluated episode (supplement, "Metrics Details"), each a function of its record.
+
+Where the paper and the code behind its numbers differ, these follow the code; docs/deviations.md lists the
+differences. The window begins with the first step after the table was taken away and lasts
+round(window_s / dt) control steps.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from dgrasp.errors import DataError
+from dgrasp.types import Array, EpisodeRecord
+
+FALLEN_HEIGHT = 0.1
+"""m. An object whose origin is not above this height has fallen past the lowered table."""
+
+
+def window_steps(record: EpisodeRecord, window_s: float) -> int:
+    """Control steps in the window: round(window_s / dt), fewer where the episode ended early.
+
+    Raises `DataError` for a window shorter than one step, and for a record that ends before the window does
+    although its episode did not end early.
+    """
+    steps = round(window_s / record.dt)
+    if steps < 1:
+        raise DataError(f"{record.label.name}: a window of {window_s:g} s has no control step of {record.dt:g} s; "
+                        "expected at least one step; choose a longer window")
+    available = len(record.T_WO) - record.window_start
+    if record.terminated:
+        return max(0, min(steps, available))
+    if available < steps:
+        raise DataError(f"{record.label.name}: {max(available, 0)} control steps recorded after the table was taken "
+                        f"away; a window of {window_s:g} s needs {steps}; run longer episodes or choose a shorter "
+                        "window")
+    return steps
+
+
+def success(record: EpisodeRecord, window_s: float) -> bool:
+    """Whether the object was held for the whole window.
+
+    From the window's first step to its last it never touches the lowered table, its origin stays above
+    z = 0.1 m, and the episode did not end early.
+    """
+    stop = record.window_start + window_steps(record, window_s)
+    if record.terminated:
+        return False
+    return not _fallen(record)[record.window_start : stop].any()
+
+
+def sim_dist_mm_per_step(record: EpisodeRecord, window_s: float) -> float | None:
+    """Mean displacement of the object in the world per control step, mm: the unit of the paper's tables.
+
+    Mean of |x_t - x_(t-1)| over the window's steps, to the window's end or to the step in which the object
+    falls onto the lowered table (or past it), that step included. None where the episode ended before the
+    window began, for nothing was measured then.
+    """
+    return _mean_step_mm(record, window_s, record.T_WO[:, :3, 3])
+
+
+def sim_dist_mm_per_s(record: EpisodeRecord, window_s: float) -> float | None:
+    """`sim_dist_mm_per_step` over the control period: mm per second, the unit of the paper's text."""
+    per_step = sim_dist_mm_per_step(record, window_s)
+    return None if per_step is None else per_step / record.dt
+
+
+def sim_dist_wrist_mm_per_step(record: EpisodeRecord, window_s: float) -> float | None:
+    """The displacement of the paper's text, between object and wrist: as above, in the wrist frame."""
+    offset = record.T_WO[:, :3, 3] - record.T_WH[:, :3, 3]
+    return _mean_step_mm(record, window_s, np.einsum("tji,tj->ti", record.T_WH[:, :3, :3], offset))
+
+
+def contact_ratio(record: EpisodeRecord) -> float | None:
+    """Goal contacts achieved over goal contacts, mean over the whole sequence; None for a label without any."""
+    goal = np.asarray(record.label.goal_contacts, dtype=bool)
+    achieved = np.asarray(record.contacts, dtype=float)[:, goal] > 0.0
+    return float(achieved.mean()) if achieved.size else None
+
+
+def _fallen(record: EpisodeRecord) -> Array:
+    """(T,) bool: the object touches the table or is at `FALLEN_HEIGHT` or below."""
+    # Written so that a NaN height counts as fallen.
+    return np.asarray(record.table_contact, dtype=bool) | ~(record.T_WO[:, 2, 3] > FALLEN_HEIGHT)
+
+
+def _mean_step_mm(record: EpisodeRecord, window_s: float, position: Array) -> float | None:
+    # The first difference needs the state before the window; a record that begins with the window lacks it.
+    start = max(record.window_start, 1)
+    stop = record.window_start + window_steps(record, window_s)
+    fallen = np.flatnonzero(_fallen(record)[start:stop])
+    if fallen.size:
+        stop = start + int(fallen[0]) + 1
+    if stop <= start:
+        return None
+    steps = np.linalg.norm(np.diff(position[start - 1 : stop], axis=0), axis=1)
+    if record.terminated:
+        # The state that ended the episode may itself be broken.
+        steps = steps[np.isfinite(steps)]
+    if not np.isfinite(steps).all():
+        raise DataError(f"{record.label.name}: NaN or infinity in the recorded states of an episode that did not end; "
+                        "expected finite states; rerun this label with another timestep")
+    return float(steps.mean() * 1000.0) if steps.size else None

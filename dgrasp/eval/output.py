@@ -1,0 +1,132 @@
+"""Show and write a result: a table on the terminal, JSON, CSV and Markdown."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from pathlib import Path
+
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+
+from dgrasp.atomic import write_atomic
+from dgrasp.eval.summary import Result
+
+NOT_COMPARABLE = "own hand and labels: not comparable with the paper"
+NO_COLUMN = "the paper has no numbers for this method on these labels"
+
+_TITLES = {
+    "success": ("success", "{:.2f}"),
+    "sim_dist_mm_per_step": ("SimDist mm/step", "{:.1f}"),
+    "sim_dist_mm_per_s": ("SimDist mm/s", "{:.0f}"),
+    "sim_dist_wrist_mm_per_step": ("SimDist to wrist mm/step", "{:.1f}"),
+    "contact_ratio": ("contact ratio", "{:.2f}"),
+    "interpenetration_cm3": ("interpen. cm3", "{:.2f}"),
+}
+
+
+def print_table(result: Result, console: Console | None = None) -> None:
+    """The result as a table, ours beside the paper's where they compare, else a line that says they do not."""
+    console = console or Console()
+    header, rows = table_cells(result)
+    table = Table(title=escape(title(result)), show_footer=False)
+    for i, name in enumerate(header):
+        table.add_column(escape(name), justify="left" if i == 0 else "right")
+    for i, row in enumerate(rows):
+        table.add_row(*(escape(cell) for cell in row), end_section=i == len(rows) - 3)
+    console.print(table)
+    for line in remarks(result):
+        console.print(line, markup=False, highlight=False)
+
+
+def title(result: Result) -> str:
+    """One line: method, engine, window, number of labels."""
+    return f"{result.method}, {result.engine}, window {result.window_s:g} s, {result.n_labels} labels"
+
+
+def remarks(result: Result) -> list[str]:
+    """Lines under the table: comparison with the paper, and what was used."""
+    lines = []
+    if not result.data.get("comparable_with_paper"):
+        lines.append(NOT_COMPARABLE)
+    elif result.paper is None:
+        lines.append(NO_COLUMN)
+    if result.correlation_with_paper:
+        pairs = ", ".join(f"{_name(k)} {v:.2f}" for k, v in result.correlation_with_paper.items())
+        lines.append(f"correlation with the paper over objects: {pairs}")
+    used = [f"{key} {result.data[key]}" for key in ("hand", "labels", "licence") if key in result.data]
+    return [*lines, "; ".join([*used, f"seed {result.seed}", f"code {result.commit}"])]
+
+
+def table_cells(result: Result) -> tuple[list[str], list[list[str]]]:
+    """Header and rows of the table as text: objects, then the means over objects and over labels."""
+    metrics = [*_TITLES, *(m for m in result.mean_over_labels if m not in _TITLES)]
+    metrics = [m for m in metrics if m in result.mean_over_labels]
+    paper = result.paper or {}
+    header = ["object", "n"]
+    for metric in metrics:
+        header += [_name(metric)] + (["paper"] if metric in paper else [])
+    entries = list(result.per_object.items())
+    entries.append(("mean over objects", {"n": len(result.per_object), **result.mean_over_objects}))
+    entries.append(("mean over labels", {"n": result.n_labels, **result.mean_over_labels}))
+    rows = []
+    for name, means in entries:
+        row = [name, f"{means['n']:g}"]
+        for metric in metrics:
+            row.append(_number(metric, means.get(metric)))
+            if metric in paper:
+                row.append(_number(metric, paper[metric].get("average" if name == "mean over objects" else name)))
+        rows.append(row)
+    return header, rows
+
+
+def json_text(result: Result) -> str:
+    """The JSON of the result; it holds no NaN."""
+    return json.dumps(result.as_dict(), indent=2, allow_nan=False) + "\n"
+
+
+def csv_text(result: Result) -> str:
+    """One line per label in the label file's order; a metric that a label lacks is an empty cell."""
+    columns = list(dict.fromkeys(key for row in result.per_label for key in row))
+    stream = io.StringIO()
+    writer = csv.DictWriter(stream, columns, lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(result.per_label)
+    return stream.getvalue()
+
+
+def markdown_text(result: Result) -> str:
+    """The table and its remarks as Markdown."""
+    header, rows = table_cells(result)
+    lines = [f"## {title(result)}", "", _markdown_row(header), _markdown_row(["---"] + ["---:"] * (len(header) - 1))]
+    lines += [_markdown_row(row) for row in rows]
+    return "\n".join([*lines, "", *(f"- {line}" for line in remarks(result))]) + "\n"
+
+
+def write_json(result: Result, path: Path) -> None:
+    """Write `json_text` in one step."""
+    write_atomic(path, json_text(result))
+
+
+def write_csv(result: Result, path: Path) -> None:
+    """Write `csv_text` in one step."""
+    write_atomic(path, csv_text(result))
+
+
+def write_markdown(result: Result, path: Path) -> None:
+    """Write `markdown_text` in one step."""
+    write_atomic(path, markdown_text(result))
+
+
+def _name(metric: str) -> str:
+    return _TITLES.get(metric, (metric, ""))[0]
+
+
+def _number(metric: str, value: float | None) -> str:
+    return "" if value is None else _TITLES.get(metric, ("", "{:.3g}"))[1].format(value)
+
+
+def _markdown_row(cells: list[str]) -> str:
+    return "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"

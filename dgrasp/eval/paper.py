@@ -1,0 +1,49 @@
+"""The numbers of the paper's tables, under this project's names of methods and metrics."""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from dgrasp.labels.source import SOURCES
+
+_COLUMNS = {"gt_pd": "pd", "gt_ik": "ik", "policy": "ours"}
+_MISPRINTED = {("grasptta", "gt_ik")}
+"""The paper's +IK columns there repeat the other split's +PD columns."""
+
+Column = dict[str, dict[str, float]]
+
+
+@cache
+def paper_tables() -> dict[str, Any]:
+    """All tables as printed: experiment, split, object (or "average"), method. Not to be changed."""
+    text = (Path(__file__).parent / "paper_tables.yaml").read_text(encoding="utf-8")
+    tables: dict[str, Any] = yaml.safe_load(text)
+    return tables
+
+
+def paper_column(labels_source: str, split: str, method: str) -> Column | None:
+    """One method's column: for each object, and "average" as printed, its metrics by this project's names.
+
+    labels_source: "dexycb", "grasptta" or "contactopt". split: "train" or "test". method: "gt_pd", "gt_ik" or
+    "policy". Metrics: success, sim_dist_mm_per_step (the printed mean), interpenetration_cm3. None where the
+    paper has no such column or it is misprinted.
+    """
+    if labels_source not in SOURCES or method not in _COLUMNS or (labels_source, method) in _MISPRINTED:
+        return None
+    table = paper_tables()[labels_source].get(split, {})
+    column = {
+        name: _metrics(methods[_COLUMNS[method]]) for name, methods in table.items() if _COLUMNS[method] in methods
+    }
+    return column or None
+
+
+def _metrics(entry: dict[str, Any]) -> dict[str, float]:
+    return {
+        "success": float(entry["success"]),
+        "sim_dist_mm_per_step": float(entry["sim_dist"][0]),
+        "interpenetration_cm3": float(entry["interpenetration_cm3"]),
+    }

@@ -1,0 +1,173 @@
+"""From evaluated episodes to one result: rows per label, means per object and over all, beside the paper's numbers."""
+
+from __future__ import annotations
+
+import subprocess
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
+from typing import Any
+
+import numpy as np
+
+from dgrasp import __version__
+from dgrasp.errors import DataError
+from dgrasp.eval import metrics
+from dgrasp.eval.paper import Column, paper_column
+from dgrasp.paths import is_checkout, shipped_root
+from dgrasp.types import EpisodeRecord
+
+SCHEMA = 1
+MIN_OBJECTS = 3
+"""Below this number of objects a correlation with the paper says nothing and is not given."""
+
+Row = dict[str, Any]
+Means = dict[str, float]
+
+
+@dataclass(frozen=True)
+class Result:
+    """One evaluation; `as_dict` is the JSON of `--json`, whose keys are these fields.
+
+    method: "gt_pd", "gt_ik", "policy", ... window_s: the stability window, s. commit: of the code, or its
+    version. data: `DataChoice.stamp()`. mean_over_objects, mean_over_labels: metric -> mean; per_object: object ->
+    "n" and its means; per_label: rows in the label file's order, each with object, index, its metrics, and
+    "terminated" with the reason where the episode ended early. A metric that was not computed is absent.
+    paper: metric -> {object: the paper's value, "average": ...} for the objects evaluated here; the average is
+    the printed one if all of the paper's objects are here, else the mean of those shown. None where the paper has
+    no number for this method, labels and hand. correlation_with_paper: metric -> Pearson's r of the
+    per-object means and the paper's; None where it is not defined. cost: control_steps, wall_s, physics_share.
+    """
+
+    schema: int
+    method: str
+    engine: str
+    window_s: float
+    seed: int
+    commit: str
+    data: dict[str, Any]
+    n_labels: int
+    mean_over_objects: Means
+    mean_over_labels: Means
+    per_object: dict[str, dict[str, float]]
+    per_label: list[Row]
+    paper: dict[str, dict[str, float]] | None
+    correlation_with_paper: dict[str, float] | None
+    cost: dict[str, float]
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain values in the order of the fields."""
+        return {field.name: getattr(self, field.name) for field in fields(self)}
+
+
+def label_row(record: EpisodeRecord, window_s: float) -> Row:
+    """The metrics of one episode as a row; further metrics may be added to it under names of their own."""
+    row: Row = {"object": record.label.object_id, "index": record.label.index}
+    row["success"] = metrics.success(record, window_s)
+    measured = {
+        "sim_dist_mm_per_step": metrics.sim_dist_mm_per_step(record, window_s),
+        "sim_dist_mm_per_s": metrics.sim_dist_mm_per_s(record, window_s),
+        "sim_dist_wrist_mm_per_step": metrics.sim_dist_wrist_mm_per_step(record, window_s),
+        "contact_ratio": metrics.contact_ratio(record),
+    }
+    row.update({name: value for name, value in measured.items() if value is not None})
+    if record.terminated:
+        row["terminated"] = record.terminated
+    return row
+
+
+def summarise(
+    episodes: Sequence[EpisodeRecord | Mapping[str, Any]], *, method: str, engine: str, window_s: float, seed: int,
+    data: Mapping[str, Any], cost: Mapping[str, float],
+) -> Result:
+    """The result of evaluated episodes, given as records or as rows like those of `label_row`, in file order.
+
+    data: `DataChoice.stamp()`; its comparable_with_paper, source and split choose the paper's column. Every
+    number in a row but `index` is a metric and is averaged over the labels that have it. Raises `DataError` for
+    no episodes and for a metric that is NaN or infinite.
+    """
+    rows = [label_row(e, window_s) if isinstance(e, EpisodeRecord) else _checked(e) for e in episodes]
+    if not rows:
+        raise DataError("no evaluated labels; expected at least one: check the choice of objects")
+    groups: dict[str, list[Row]] = {}
+    for row in rows:
+        groups.setdefault(row["object"], []).append(row)
+    object_means = {name: _means(group) for name, group in groups.items()}
+    column = None
+    if data.get("comparable_with_paper"):
+        column = paper_column(str(data.get("source")), str(data.get("split")), method)
+    paper = _beside(column, object_means) if column else None
+    return Result(
+        schema=SCHEMA, method=method, engine=engine, window_s=float(window_s), seed=seed, commit=code_version(),
+        data=dict(data), n_labels=len(rows),
+        mean_over_objects=_means(list(object_means.values())), mean_over_labels=_means(rows),
+        per_object={name: {"n": len(groups[name]), **means} for name, means in object_means.items()},
+        per_label=rows, paper=paper,
+        correlation_with_paper=_correlations(paper, object_means) if paper else None,
+        cost=dict(cost),
+    )
+
+
+def code_version() -> str:
+    """The commit of the source tree that runs, or the package's version where it is not a git checkout."""
+    if is_checkout() and (shipped_root() / ".git").exists():
+        try:
+            done = subprocess.run(["git", "rev-parse", "HEAD"], cwd=shipped_root(), capture_output=True, text=True,
+                                  timeout=10, check=True)
+        except (OSError, subprocess.SubprocessError):
+            return __version__
+        return done.stdout.strip()
+    return __version__
+
+
+def _is_metric(name: str, value: Any) -> bool:
+    return name != "index" and isinstance(value, (bool, int, float, np.bool_, np.number))
+
+
+def _checked(row: Mapping[str, Any]) -> Row:
+    """The row with plain values and without what was not computed."""
+    place = f"{row['object']}[{row['index']}]"
+    out: Row = {}
+    for name, value in row.items():
+        if value is None:
+            continue
+        out[name] = value.item() if isinstance(value, np.generic) else value
+        if _is_metric(name, value) and not np.isfinite(float(value)):
+            raise DataError(f"{place}: metric {name} is {value}; expected a finite number, or no entry where it "
+                            "could not be computed")
+    return out
+
+
+def _means(rows: Sequence[Mapping[str, Any]]) -> Means:
+    """Mean of each metric over the rows that have it."""
+    values: dict[str, list[float]] = {}
+    for row in rows:
+        for name, value in row.items():
+            if _is_metric(name, value):
+                values.setdefault(name, []).append(float(value))
+    return {name: float(np.mean(column)) for name, column in values.items()}
+
+
+def _beside(column: Column, ours: Mapping[str, Means]) -> dict[str, dict[str, float]] | None:
+    """The paper's values, metric by metric, of the objects that were evaluated."""
+    shown = [name for name in ours if name in column]
+    if not shown:
+        return None
+    complete = set(shown) == set(column) - {"average"}
+    paper = {}
+    for metric in column[shown[0]]:
+        values = {name: column[name][metric] for name in shown}
+        mean = column["average"][metric] if complete else float(np.mean(list(values.values())))
+        paper[metric] = {**values, "average": mean}
+    return paper
+
+
+def _correlations(paper: Mapping[str, Mapping[str, float]], ours: Mapping[str, Means]) -> dict[str, float] | None:
+    """Pearson's r over objects for each metric that both have; None where there is none."""
+    found = {}
+    for metric, values in paper.items():
+        shared = [name for name in values if metric in ours.get(name, {})]
+        x = np.array([ours[name][metric] for name in shared])
+        y = np.array([values[name] for name in shared])
+        if len(shared) >= MIN_OBJECTS and np.ptp(x) > 0.0 and np.ptp(y) > 0.0:
+            found[metric] = float(np.clip(np.corrcoef(x, y)[0, 1], -1.0, 1.0))
+    return found or None

@@ -1,0 +1,270 @@
+"""Checkpoints of a training run: written atomically, read as untrusted input."""
+
+from __future__ import annotations
+
+import contextlib
+import copy
+import hashlib
+import io
+import os
+import re
+import zipfile
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from dgrasp.errors import DataError
+from dgrasp.rl.networks import ActorCritic, Policy, make_mlp, parameter_shapes
+
+SCHEMA = 1
+FOLDER = "checkpoints"
+_NAME = re.compile(r"\d{6,}\.pt")
+_MAX_BYTES = 2**30
+_SEAL = b"dgrasp sha256 "
+_SEAL_SIZE = len(_SEAL) + 64
+_TYPES: dict[str, tuple[type, ...]] = {
+    "epoch": (int,), "model": (dict,), "optimizer": (dict,), "learning_rate": (float,), "architecture": (dict,),
+    "config": (dict,), "data": (dict,), "code": (str,), "best_success": (float, type(None)),
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Checkpoint:
+    """The state of a training run after `epoch` completed epochs.
+
+    Every epoch draws its randomness from (seed, epoch), so no random state belongs to it.
+    model: state of the `ActorCritic`. optimizer: state of its Adam. config, data: the experiment's config
+    and data stamp as plain values. code: version of the package. best_success: best evaluation so far.
+    """
+
+    epoch: int
+    model: dict[str, Tensor]
+    optimizer: dict[str, Any]
+    learning_rate: float
+    architecture: dict[str, Any]
+    config: dict[str, Any]
+    data: dict[str, Any]
+    code: str
+    best_success: float | None
+
+
+def atomic_write_bytes(path: Path, content: bytes) -> None:
+    """Write a file so that at any time either the old or the new one is there, whole.
+
+    Raises `DataError` if that fails, on a full disk for example; the old file and no temporary one remain.
+    """
+    temporary = path.with_name(f".{path.name}.tmp")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        try:
+            with open(temporary, "wb") as stream:
+                stream.write(content)
+                stream.flush()
+                os.fsync(stream.fileno())
+            os.replace(temporary, path)
+        except BaseException:
+            with contextlib.suppress(OSError):
+                temporary.unlink()
+            raise
+    except OSError as error:
+        raise DataError(
+            f"cannot write {path}: {error.strerror or error}; the files that were there before are unharmed. "
+            "Free some space or choose another folder"
+        ) from None
+    # The new name itself must survive a power cut; not every file system can be asked for it.
+    with contextlib.suppress(OSError):
+        folder = os.open(path.parent, os.O_RDONLY)
+        try:
+            os.fsync(folder)
+        finally:
+            os.close(folder)
+
+
+def to_cpu(value: Any) -> Any:
+    """A deep copy of nested dictionaries and lists with all tensors on the CPU."""
+    if isinstance(value, Tensor):
+        return value.detach().cpu().clone()
+    if isinstance(value, dict):
+        return {key: to_cpu(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [to_cpu(item) for item in value]
+    return value
+
+
+def save(run_dir: Path, checkpoint: Checkpoint) -> Path:
+    """Write `checkpoints/NNNNNN.pt` (NNNNNN: completed epochs) in the run directory and return its path."""
+    path = run_dir / FOLDER / f"{checkpoint.epoch:06d}.pt"
+    content = {field.name: getattr(checkpoint, field.name) for field in fields(Checkpoint)}
+    stream = io.BytesIO()
+    torch.save({"schema": SCHEMA, **content}, stream)
+    atomic_write_bytes(path, _sealed(stream.getvalue()))
+    return path
+
+
+def _sealed(archive: bytes) -> bytes:
+    """The zip archive with the SHA-256 of its bytes as its comment, the last thing in the file."""
+    # The two bytes before the comment are its length; the digest covers them.
+    body = archive[:-2] + _SEAL_SIZE.to_bytes(2, "little")
+    return body + _SEAL + hashlib.sha256(body).hexdigest().encode()
+
+
+def _is_whole(content: bytes) -> bool:
+    """Whether the checksums of a torch file match: its seal, or the zip archive's own where it has none.
+
+    torch itself checks neither. The archive's own do not cover its directory, hence the seal.
+    """
+    if not (content[-22:].startswith(b"PK\5\6") and content.endswith(b"\0\0")):  # an archive with a comment
+        return _sealed(content[:-_SEAL_SIZE]) == content
+    with zipfile.ZipFile(io.BytesIO(content)) as archive:
+        stored = all(item.compress_type == zipfile.ZIP_STORED for item in archive.infolist())
+        return stored and archive.testzip() is None
+
+
+def saved(run_dir: Path) -> list[Path]:
+    """The checkpoints of a run directory, oldest first."""
+    folder = run_dir / FOLDER
+    found = [path for path in folder.glob("*.pt") if _NAME.fullmatch(path.name)] if folder.is_dir() else []
+    return sorted(found, key=lambda path: int(path.stem))
+
+
+def latest(run_dir: Path) -> Path:
+    """The newest checkpoint of a run directory; `DataError` if it has none."""
+    found = saved(run_dir)
+    if not found:
+        raise DataError(f"{run_dir}: no checkpoint there; expected {FOLDER}/NNNNNN.pt, as train.py writes them")
+    return found[-1]
+
+
+def prune(run_dir: Path, keep: int) -> None:
+    """Remove all but the newest `keep` checkpoints, and what a killed run left half-written."""
+    for path in [*saved(run_dir)[:-keep], *(run_dir / FOLDER).glob(".*.pt.tmp")]:
+        with contextlib.suppress(OSError):
+            path.unlink()
+
+
+def read_torch_file(path: Path, what: str) -> Any:
+    """The content of a file written by torch.save, its tensors on the CPU.
+
+    Only tensors and plain values are accepted. what: names the expected content in the `DataError` raised
+    for anything else, and for a file whose checksums do not match.
+    """
+    try:
+        if path.stat().st_size > _MAX_BYTES:
+            raise DataError(f"{path}: over {_MAX_BYTES >> 20} MiB; expected {what}")
+        content = path.read_bytes()
+    except OSError as error:
+        raise DataError(f"{path}: cannot read {what} ({error.strerror or error})") from None
+    try:
+        if not _is_whole(content):
+            raise ValueError("a checksum does not match")
+        return torch.load(io.BytesIO(content), map_location="cpu", weights_only=True)
+    except Exception as error:  # hostile bytes fail in any way; all of them mean the same to the user
+        reason = str(error).strip().splitlines()
+        raise DataError(
+            f"{path}: damaged or not {what} ({reason[0][:120] if reason else type(error).__name__}). "
+            "Take another file; in a run directory, delete this one to fall back on the checkpoint before it"
+        ) from None
+
+
+def load(path: Path) -> Checkpoint:
+    """Read and check a checkpoint; `DataError` if it is missing, damaged or of another schema version."""
+    what = "a checkpoint of this project"
+    content = read_torch_file(path, what)
+    if not isinstance(content, dict) or "schema" not in content:
+        raise DataError(f"{path}: not {what}; expected a dictionary with a schema version")
+    schema = content["schema"]
+    if type(schema) is not int or schema != SCHEMA:
+        raise DataError(
+            f"{path}: checkpoint schema {schema!r}; this version of the code reads schema {SCHEMA}. "
+            "Use the version of the code that wrote it, or train anew"
+        )
+    for name, types in _TYPES.items():
+        if name not in content or not isinstance(content[name], types) or isinstance(content[name], bool):
+            expected = " or ".join(t.__name__ for t in types)
+            raise DataError(f"{path}: not {what}; expected {name!r} to be of type {expected}")
+    checkpoint = Checkpoint(**{name: content[name] for name in _TYPES})
+    _check_numbers(checkpoint, path)
+    return checkpoint
+
+
+def _check_numbers(checkpoint: Checkpoint, path: Path) -> None:
+    architecture = checkpoint.architecture
+    hidden = architecture.get("hidden")
+    sizes = [architecture.get("observation_size"), architecture.get("action_size")]
+    sizes += hidden if isinstance(hidden, list) else [None]
+    plain = all(isinstance(value, (int, str)) for key, value in architecture.items() if key != "hidden")
+    if not plain or not all(type(size) is int and size > 0 for size in sizes):
+        raise DataError(f"{path}: malformed architecture {architecture}; expected positive sizes")
+    shapes = parameter_shapes(architecture)
+    if set(shapes) != set(checkpoint.model):
+        raise DataError(f"{path}: the parameters do not match the architecture {architecture}")
+    for name, shape in shapes.items():
+        _check_tensor(checkpoint.model[name], shape, f"{path}: parameter {name!r}")
+    if not bool((checkpoint.model["std"] > 0.0).all()):
+        raise DataError(f"{path}: an action standard deviation is not positive")
+    if checkpoint.epoch < 0 or not 0.0 < checkpoint.learning_rate < float("inf"):
+        raise DataError(f"{path}: epoch {checkpoint.epoch} and learning rate {checkpoint.learning_rate} cannot be")
+
+
+def _check_tensor(tensor: Any, shape: tuple[int, ...], where: str) -> None:
+    ok = isinstance(tensor, Tensor) and tensor.dtype == torch.float32 and tuple(tensor.shape) == shape
+    if not ok:
+        got = f"{tuple(tensor.shape)} {tensor.dtype}" if isinstance(tensor, Tensor) else type(tensor).__name__
+        raise DataError(f"{where} is {got}; expected {shape} torch.float32")
+    # An expanded tensor claims more numbers than the file holds.
+    if not tensor.is_contiguous() or not bool(tensor.isfinite().all()):
+        raise DataError(f"{where} is not a plain tensor of finite numbers")
+
+
+def restore(checkpoint: Checkpoint, path: Path, model: ActorCritic, optimizer: torch.optim.Optimizer) -> None:
+    """Put a checkpoint into a model and its Adam; `DataError` if it is of another architecture."""
+    here = model.architecture()
+    if checkpoint.architecture != here:
+        keys = sorted(set(here) | set(checkpoint.architecture), key=str)
+        differ = [
+            f"{key} {checkpoint.architecture.get(key)!r} there, {here.get(key)!r} here"
+            for key in keys
+            if checkpoint.architecture.get(key) != here.get(key)
+        ]
+        raise DataError(
+            f"{path}: the checkpoint is of another architecture ({'; '.join(differ)}). "
+            "Resume with the config that it was trained with"
+        )
+    state = _optimizer_state(checkpoint, path, model)
+    model.load_state_dict(checkpoint.model)
+    groups = copy.deepcopy(optimizer.state_dict()["param_groups"])
+    for group in groups:
+        group["lr"] = checkpoint.learning_rate
+    optimizer.load_state_dict({"state": state, "param_groups": groups})
+
+
+def _optimizer_state(checkpoint: Checkpoint, path: Path, model: ActorCritic) -> dict[int, Any]:
+    """Adam's state from the checkpoint, checked against the model's parameters and copied."""
+    state = checkpoint.optimizer.get("state")
+    parameters = list(model.parameters())
+    indices = set(range(len(parameters))) if checkpoint.epoch else set()
+    if not isinstance(state, dict) or set(state) != indices:
+        raise DataError(f"{path}: the state of the optimiser does not match the model")
+    for index in indices:
+        moments = state[index]
+        if not isinstance(moments, dict) or set(moments) != {"step", "exp_avg", "exp_avg_sq"}:
+            raise DataError(f"{path}: the state of the optimiser is not Adam's")
+        _check_tensor(moments["step"], (), f"{path}: optimiser state {index} 'step'")
+        for name in ("exp_avg", "exp_avg_sq"):
+            _check_tensor(moments[name], tuple(parameters[index].shape), f"{path}: optimiser state {index} {name!r}")
+    return copy.deepcopy(state)
+
+
+def load_policy(path: Path) -> Policy:
+    """The deterministic policy of a checkpoint, on the CPU."""
+    checkpoint = load(path)
+    architecture = checkpoint.architecture
+    observation_size, action_size = architecture["observation_size"], architecture["action_size"]
+    actor = make_mlp([observation_size, *architecture["hidden"], action_size])
+    prefix = "actor."
+    weights = {name[len(prefix) :]: value for name, value in checkpoint.model.items() if name.startswith(prefix)}
+    actor.load_state_dict(weights)
+    return Policy(actor, observation_size, action_size)

@@ -1,0 +1,41 @@
+"""Ctrl-C and SIGTERM: both raise KeyboardInterrupt, except where a save must come to its end."""
+
+from __future__ import annotations
+
+import contextlib
+import signal
+import threading
+from collections.abc import Iterator
+from types import FrameType
+from typing import Any
+
+_SIGNALS = (signal.SIGINT, signal.SIGTERM)
+
+
+def _interrupt(number: int, frame: FrameType | None) -> None:
+    raise KeyboardInterrupt
+
+
+@contextlib.contextmanager
+def _handling(handler: Any) -> Iterator[None]:
+    # Only the main thread may set handlers; elsewhere the process keeps those that it has.
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = {number: signal.signal(number, handler) for number in _SIGNALS}
+    try:
+        yield
+    finally:
+        for number, old in before.items():
+            # None: a handler that was not set from Python and cannot be put back.
+            signal.signal(number, signal.SIG_DFL if old is None else old)
+
+
+def interruptible() -> contextlib.AbstractContextManager[None]:
+    """Both signals raise KeyboardInterrupt, also in a background job, which starts with SIGINT ignored."""
+    return _handling(_interrupt)
+
+
+def uninterruptible() -> contextlib.AbstractContextManager[None]:
+    """Both signals are ignored."""
+    return _handling(signal.SIG_IGN)

@@ -1,0 +1,196 @@
+"""What a training run writes down: TensorBoard events, `progress.csv` and the progress on the screen."""
+
+from __future__ import annotations
+
+import contextlib
+import csv
+import io
+import json
+import re
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+from rich.console import Console
+from tensorboard.compat.proto.summary_pb2 import Summary
+from torch.utils.tensorboard import SummaryWriter
+
+from dgrasp.config import Config, dump_config
+from dgrasp.errors import DataError
+from dgrasp.rl.checkpoint import atomic_write_bytes
+from dgrasp.rl.ppo import STATISTICS
+from dgrasp.rl.progress import TrainingProgress
+
+CSV_NAME = "progress.csv"
+RETURN, TERMINATED, TRUNCATED = "train/return", "train/terminated", "train/truncated"
+SUCCESS, CONTACT_RATIO = "eval/success", "eval/contact_ratio"
+STEPS_PER_SECOND, PHYSICS_SHARE, UPDATE_SHARE = "speed/steps_per_second", "speed/physics_share", "speed/update_share"
+_FIXED_COLUMNS = ("epoch", "control_steps", "seconds")
+_EVENTS_SHOWN = 3
+# The log flushes after every epoch itself; a flush by the writer's own thread could not report a full disk.
+_NEVER_S = 10**6
+
+
+class Log:
+    """The log of one run; a context manager that flushes and closes it.
+
+    Values are logged under TensorBoard tags such as `ppo/kl`. `progress.csv` has one row per epoch, with the
+    tags' last parts as columns; its header is that of the first run into the directory. Resuming drops what
+    was logged after the resumed epoch (0: starts anew). Raises `DataError` if the disk does not take it.
+    """
+
+    def __init__(
+        self,
+        run_dir: Path,
+        config: Config,
+        data_stamp: Mapping[str, Any],
+        reward_terms: Sequence[str],
+        steps_per_epoch: int,
+        resumed_epoch: int,
+        console: Console | None = None,
+    ) -> None:
+        self._run_dir, self._csv = run_dir, run_dir / CSV_NAME
+        self._steps_per_epoch, self._epochs = steps_per_epoch, config.ppo.epochs
+        tags = [RETURN, TERMINATED, TRUNCATED, *(f"reward/{term}" for term in reward_terms)]
+        tags += [*(f"ppo/{name}" for name in STATISTICS), STEPS_PER_SECOND, PHYSICS_SHARE, UPDATE_SHARE]
+        columns = [*_FIXED_COLUMNS, *map(_column, [*tags, SUCCESS, CONTACT_RATIO])]
+        with self._writing():
+            rows = _rows_until(self._csv, resumed_epoch) if resumed_epoch else []
+            self._columns = list(rows[0]) if rows else columns
+            self._seconds_before = float(rows[-1]["seconds"]) if rows else 0.0
+            atomic_write_bytes(self._csv, _csv_text(self._columns, rows, header=True).encode())
+            # TensorBoard hides what an earlier writer in this directory logged from purge_step on.
+            purge_step = resumed_epoch + 1 if resumed_epoch else 0
+            self._writer = SummaryWriter(str(run_dir), purge_step=purge_step, flush_secs=_NEVER_S)
+            self._writer.add_custom_scalars(_layout(reward_terms))
+            self._writer.add_text("config", _indented(dump_config(config)), resumed_epoch)
+            self._writer.add_text("data", _indented(json.dumps(data_stamp, indent=2)), resumed_epoch)
+            self._writer.flush()
+        self._start = time.monotonic()
+        self._progress = TrainingProgress(
+            self._epochs * steps_per_epoch, resumed_epoch * steps_per_epoch, console=console
+        )
+
+    def __enter__(self) -> Log:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._progress.close()
+        if kind is None:
+            with self._writing():
+                self._writer.close()
+        else:
+            # The first failure is the one to tell.
+            with contextlib.suppress(OSError):
+                self._writer.close()
+
+    def step(self, epoch: int, steps: int) -> None:
+        """Count control steps in the display."""
+        self._progress.advance(steps, f"epoch {epoch}/{self._epochs}")
+
+    def message(self, text: str) -> None:
+        """Print a line."""
+        self._progress.message(text)
+
+    def events(self, epoch: int, events: Sequence[str]) -> None:
+        """Write down what the environments reported, and print the first few."""
+        if not events:
+            return
+        with self._writing():
+            self._writer.add_text("events", _indented("\n".join(events)), epoch)
+        for event in events[:_EVENTS_SHOWN]:
+            self.message(f"epoch {epoch}: {event}")
+        if len(events) > _EVENTS_SHOWN:
+            self.message(f"epoch {epoch}: and {len(events) - _EVENTS_SHOWN} more such events (TensorBoard, text)")
+
+    def epoch(self, epoch: int, values: Mapping[str, float], gif: bytes | None = None) -> None:
+        """Write the values (tag to number) of a completed epoch, and a GIF of its evaluation.
+
+        Epoch 0 is the state before training.
+        """
+        with self._writing():
+            for tag, value in values.items():
+                self._writer.add_scalar(tag, value, epoch)
+            if gif is not None:
+                self._add_gif(gif, epoch)
+            row = {_column(tag): f"{value:.8g}" for tag, value in values.items()}
+            row["epoch"], row["control_steps"] = str(epoch), str(epoch * self._steps_per_epoch)
+            row["seconds"] = f"{self._seconds_before + time.monotonic() - self._start:.1f}"
+            with open(self._csv, "a", encoding="utf-8", newline="") as stream:
+                stream.write(_csv_text(self._columns, [row], header=False))
+            self._writer.flush()
+        if SUCCESS in values:
+            self._progress.success(values[SUCCESS])
+            known = {"success": SUCCESS, "contact ratio": CONTACT_RATIO, "return": RETURN}
+            text = ", ".join(f"{name} {values[tag]:.3f}" for name, tag in known.items() if tag in values)
+            self.message(f"epoch {epoch}/{self._epochs}: {text}")
+
+    def _add_gif(self, gif: bytes, epoch: int) -> None:
+        """`add_video` would need another package to encode frames; encoded bytes go in as they are."""
+        if gif[:4] != b"GIF8":
+            raise DataError(f"the evaluation of epoch {epoch} returned a 'gif' that is not a GIF")
+        width, height = (int.from_bytes(gif[at : at + 2], "little") for at in (6, 8))
+        image = Summary.Image(height=height, width=width, colorspace=3, encoded_image_string=gif)
+        summary = Summary(value=[Summary.Value(tag="eval/episode", image=image)])
+        self._writer._get_file_writer().add_summary(summary, epoch)
+
+    @contextlib.contextmanager
+    def _writing(self) -> Iterator[None]:
+        try:
+            yield
+        except OSError as error:
+            raise DataError(
+                f"{self._run_dir}: cannot write the log ({error.strerror or error}); the checkpoints there are "
+                "unharmed. Free some space and continue with --resume"
+            ) from None
+
+
+def _layout(reward_terms: Sequence[str]) -> dict[str, dict[str, list[Any]]]:
+    """TensorBoard's custom page: the five curves that matter first, then all reward terms."""
+    contact = [CONTACT_RATIO, *(f"reward/{term}" for term in reward_terms if "contact" in term)]
+    return {
+        "Training": {
+            "success": ["Multiline", [SUCCESS]],
+            "return": ["Multiline", [RETURN]],
+            "contact": ["Multiline", contact],
+            "KL": ["Multiline", ["ppo/kl"]],
+            "steps per second": ["Multiline", [STEPS_PER_SECOND]],
+        },
+        "Reward": {"terms": ["Multiline", [f"reward/{term}" for term in reward_terms]]},
+    }
+
+
+def _rows_until(path: Path, epoch: int) -> list[dict[str, str]]:
+    """The rows of a `progress.csv` up to an epoch; a row that a crash left incomplete is dropped."""
+    if not path.is_file():
+        return []
+    lines = list(csv.reader(io.StringIO(path.read_text(encoding="utf-8", errors="replace"), newline="")))
+    header = lines[0] if lines else []
+    rows = [dict(zip(header, line, strict=True)) for line in lines[1:] if len(line) == len(header)]
+    return [row for row in rows if _is_complete(row) and int(row["epoch"]) <= epoch]
+
+
+def _is_complete(row: Mapping[str, str]) -> bool:
+    return row.get("epoch", "").isdecimal() and re.fullmatch(r"\d+\.\d", row.get("seconds", "")) is not None
+
+
+def _column(tag: str) -> str:
+    return tag.rsplit("/", 1)[-1]
+
+
+def _csv_text(columns: Sequence[str], rows: Sequence[Mapping[str, str]], header: bool) -> str:
+    stream = io.StringIO(newline="")
+    writer = csv.DictWriter(stream, columns, restval="", extrasaction="ignore", lineterminator="\n")
+    if header:
+        writer.writeheader()
+    writer.writerows(rows)
+    return stream.getvalue()
+
+
+def _indented(text: str) -> str:
+    """Text as a Markdown code block, which TensorBoard renders as it is."""
+    return "\n".join(f"    {line}" for line in text.splitlines())

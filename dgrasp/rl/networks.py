@@ -1,0 +1,165 @@
+"""Actor and critic (supplement, table of PPO: two hidden layers of 128, LeakyReLU)."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from dgrasp.errors import DataError
+from dgrasp.types import Array
+
+_LOG_2PI = math.log(2.0 * math.pi)
+
+
+class Acted(NamedTuple):
+    """A sampled action (N, A) with its log-probability (N,), the value of the state (N,) and the mean (N, A)."""
+
+    action: Tensor
+    log_prob: Tensor
+    value: Tensor
+    mean: Tensor
+
+
+class Evaluated(NamedTuple):
+    """What the policy now says of B old actions: log_prob, value (B,), mean (B, A), std (A,), entropy ()."""
+
+    log_prob: Tensor
+    value: Tensor
+    mean: Tensor
+    std: Tensor
+    entropy: Tensor
+
+
+def gaussian_log_prob(action: Tensor, mean: Tensor, std: Tensor) -> Tensor:
+    """Log-density (B,) of actions (B, A) under independent normals with mean (B, A) and std (A,)."""
+    scaled = (action - mean) / std
+    return -0.5 * scaled.square().sum(-1) - std.log().sum() - 0.5 * std.numel() * _LOG_2PI
+
+
+def make_mlp(sizes: list[int], dtype: torch.dtype = torch.float32) -> nn.Sequential:
+    """Linear layers of the given sizes with LeakyReLU between them; the parameters are not initialised."""
+    layers: list[nn.Module] = []
+    for fan_in, fan_out in itertools.pairwise(sizes):
+        # skip_init leaves the global random state alone.
+        layers += [nn.utils.skip_init(nn.Linear, fan_in, fan_out, dtype=dtype), nn.LeakyReLU()]
+    return nn.Sequential(*layers[:-1])
+
+
+def _initialise(network: nn.Sequential, generator: torch.Generator) -> None:
+    """Orthogonal weights of gain sqrt(2) in every layer, as in the authors' code, and biases of zero.
+
+    sqrt(2) keeps the scale of the activations through rectifiers; the last layer has it too because the
+    published policies were trained so. With zero biases the gain alone sets the scale of the outputs, and a
+    zero observation has mean and value zero.
+    """
+    for layer in network:
+        if isinstance(layer, nn.Linear):
+            nn.init.orthogonal_(layer.weight, gain=math.sqrt(2.0), generator=generator)
+            nn.init.zeros_(layer.bias)
+
+
+class ActorCritic(nn.Module):
+    """A Gaussian policy and a value function, two networks that share nothing.
+
+    The standard deviation is one learned number per action, itself and not its logarithm, so that the same
+    step of the optimiser moves a small one relatively further (the authors' parametrisation).
+    """
+
+    def __init__(
+        self,
+        observation_size: int,
+        action_size: int,
+        hidden: list[int],
+        initial_std: float,
+        generator: torch.Generator,
+    ) -> None:
+        super().__init__()
+        self.observation_size, self.action_size, self.hidden = observation_size, action_size, list(hidden)
+        self.actor = make_mlp([observation_size, *hidden, action_size])
+        self.critic = make_mlp([observation_size, *hidden, 1])
+        self.std = nn.Parameter(torch.full((action_size,), float(initial_std)))
+        _initialise(self.actor, generator)
+        _initialise(self.critic, generator)
+
+    @torch.no_grad()
+    def act(self, observation: Tensor, generator: torch.Generator) -> Acted:
+        """Sample actions for observations (N, O). `generator` lives on the CPU, whatever the device, so that
+        a seed means the same noise everywhere."""
+        mean = self.actor(observation)
+        noise = torch.randn(mean.shape, generator=generator).to(mean.device)
+        action = mean + self.std * noise
+        return Acted(action, gaussian_log_prob(action, mean, self.std), self.value(observation), mean)
+
+    def evaluate(self, observation: Tensor, action: Tensor) -> Evaluated:
+        """Judge actions (B, A) taken at observations (B, O), with gradients."""
+        mean = self.actor(observation)
+        entropy = self.std.log().sum() + 0.5 * self.action_size * (1.0 + _LOG_2PI)
+        log_prob = gaussian_log_prob(action, mean, self.std)
+        return Evaluated(log_prob, self.value(observation), mean, self.std, entropy)
+
+    def value(self, observation: Tensor) -> Tensor:
+        """Values (N,) of observations (N, O)."""
+        value: Tensor = self.critic(observation).squeeze(-1)
+        return value
+
+    @torch.no_grad()
+    def mean_action(self, observation: Tensor) -> Tensor:
+        """The deterministic actions (N, A) for observations (N, O)."""
+        mean: Tensor = self.actor(observation)
+        return mean
+
+    @torch.no_grad()
+    def floor_std(self, smallest: float) -> None:
+        """Raise every standard deviation to at least `smallest`."""
+        self.std.clamp_(min=smallest)
+
+    def architecture(self) -> dict[str, Any]:
+        """What two models must share for the weights of one to fit the other."""
+        return {
+            "observation_size": self.observation_size,
+            "action_size": self.action_size,
+            "hidden": list(self.hidden),
+            "activation": "leaky_relu",
+            "std": "independent",
+        }
+
+    def policy(self) -> Policy:
+        """The deterministic policy; it shares the weights, so it is the present one until the next update."""
+        return Policy(self.actor, self.observation_size, self.action_size)
+
+
+def parameter_shapes(architecture: dict[str, Any]) -> dict[str, tuple[int, ...]]:
+    """Names and shapes of the parameters of an `ActorCritic` with this architecture."""
+    shapes: dict[str, tuple[int, ...]] = {"std": (architecture["action_size"],)}
+    for name, outputs in (("actor", architecture["action_size"]), ("critic", 1)):
+        sizes = [architecture["observation_size"], *architecture["hidden"], outputs]
+        for index, (fan_in, fan_out) in enumerate(itertools.pairwise(sizes)):
+            shapes[f"{name}.{2 * index}.weight"] = (fan_out, fan_in)
+            shapes[f"{name}.{2 * index}.bias"] = (fan_out,)
+    return shapes
+
+
+class Policy:
+    """A deterministic policy between numpy arrays, for evaluation."""
+
+    def __init__(self, actor: nn.Module, observation_size: int, action_size: int) -> None:
+        self._actor, self.observation_size, self.action_size = actor, observation_size, action_size
+        parameter = next(actor.parameters())
+        self._device, self._dtype = parameter.device, parameter.dtype
+
+    @torch.no_grad()
+    def act(self, observation: Array) -> Array:
+        """Actions (N, A) float32 for observations (N, O) float32; `DataError` on another observation size."""
+        if observation.ndim != 2 or observation.shape[1] != self.observation_size:
+            raise DataError(
+                f"the policy takes observations of shape (N, {self.observation_size}), got {observation.shape}; "
+                "use the features that it was trained with"
+            )
+        inputs = torch.tensor(observation, dtype=self._dtype, device=self._device)
+        actions: Array = self._actor(inputs).cpu().numpy().astype(np.float32, copy=False)
+        return actions

@@ -1,0 +1,141 @@
+"""Proximal policy optimisation (Schulman et al. 2017): the losses and the update, nothing else."""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from torch import Tensor, nn
+
+from dgrasp.config import PpoConfig
+from dgrasp.errors import DataError
+from dgrasp.rl.networks import ActorCritic
+from dgrasp.rl.storage import Minibatch, Rollout
+
+STATISTICS = (
+    "surrogate_loss", "value_loss", "entropy", "kl", "clip_fraction", "grad_norm",
+    "learning_rate", "action_std", "explained_variance",
+)  # fmt: skip
+"""Keys of what `Ppo.update` returns."""
+
+_KL_TOLERANCE = 2.0
+_RATE_FACTOR = 1.5
+_SMALLEST_STD = 1e-6
+
+
+def surrogate_loss(ratio: Tensor, advantages: Tensor, clip: float) -> Tensor:
+    """-mean(min(ratio A, clamp(ratio, 1 - clip, 1 + clip) A)), equation 7; all arguments are (B,)."""
+    clipped = ratio.clamp(1.0 - clip, 1.0 + clip)
+    return -torch.min(ratio * advantages, clipped * advantages).mean()
+
+
+def value_loss(values: Tensor, old_values: Tensor, returns: Tensor, clip: float | None) -> Tensor:
+    """Mean squared error of the values (B,).
+
+    clip: values may gain from moving at most this far from the old ones (in the unit of the returns):
+    mean(max((V - R)^2, (V_old + clamp(V - V_old, -clip, clip) - R)^2)). None: no limit.
+    """
+    error = (values - returns).square()
+    if clip is None:
+        return error.mean()
+    clipped = old_values + (values - old_values).clamp(-clip, clip)
+    return torch.max(error, (clipped - returns).square()).mean()
+
+
+def gaussian_kl(old_mean: Tensor, old_std: Tensor, mean: Tensor, std: Tensor) -> Tensor:
+    """KL(old || new) (B,) between independent normals with means (B, A) and standard deviations (A,)."""
+    of_std = torch.log(std / old_std) + 0.5 * ((old_std / std).square() - 1.0)
+    of_mean = 0.5 * ((old_mean - mean) / std).square()
+    return of_mean.sum(-1) + of_std.sum()
+
+
+def adapted_learning_rate(rate: float, kl: float, config: PpoConfig) -> float:
+    """The learning rate after a KL: / 1.5 above twice the desired one, * 1.5 below half of it, within limits.
+
+    A KL of exactly 0 says nothing (no step was made) and changes nothing.
+    """
+    if kl > _KL_TOLERANCE * config.desired_kl:
+        return max(config.min_learning_rate, rate / _RATE_FACTOR)
+    if 0.0 < kl < config.desired_kl / _KL_TOLERANCE:
+        return min(config.max_learning_rate, rate * _RATE_FACTOR)
+    return rate
+
+
+class Ppo:
+    """Updates a model from rollouts, with one Adam for actor, critic and standard deviation."""
+
+    def __init__(self, model: ActorCritic, config: PpoConfig) -> None:
+        self.model, self.config = model, config
+        self.optimizer = torch.optim.Adam(model.parameters(), lr=config.learning_rate)
+
+    @property
+    def learning_rate(self) -> float:
+        """The present learning rate."""
+        return float(self.optimizer.param_groups[0]["lr"])
+
+    @learning_rate.setter
+    def learning_rate(self, rate: float) -> None:
+        for group in self.optimizer.param_groups:
+            group["lr"] = rate
+
+    def update(self, rollout: Rollout, generator: torch.Generator) -> dict[str, float]:
+        """Improve the model on a rollout whose returns are computed.
+
+        generator: on the CPU, shuffles the samples. Returns the means over all minibatches of the
+        `STATISTICS`, except learning_rate and action_std (after the update) and explained_variance (of the
+        returns by the old values). Raises `DataError` if the gradient is not finite.
+        """
+        statistics = {"explained_variance": _explained_variance(rollout.values, rollout.returns).item()}
+        # The rollout was made with the standard deviation that the model still has.
+        old_std = self.model.std.detach().clone()
+        rows = []
+        for _ in range(self.config.update_epochs):
+            for batch in rollout.minibatches(self.config.minibatches, generator if self.config.shuffle else None):
+                rows.append(self._step(batch, old_std))
+        # As in the authors' code the floor comes after the whole update.
+        self.model.floor_std(max(self.config.min_std, _SMALLEST_STD))
+        for name in rows[0]:
+            statistics[name] = sum(row[name] for row in rows) / len(rows)
+        statistics["learning_rate"] = self.learning_rate
+        statistics["action_std"] = self.model.std.mean().item()
+        return {name: statistics[name] for name in STATISTICS}
+
+    def _step(self, batch: Minibatch, old_std: Tensor) -> dict[str, float]:
+        config = self.config
+        now = self.model.evaluate(batch.observations, batch.actions)
+        with torch.no_grad():
+            kl = gaussian_kl(batch.means, old_std, now.mean, now.std).mean().item()
+        if config.adaptive_learning_rate:
+            self.learning_rate = adapted_learning_rate(self.learning_rate, kl, config)
+
+        ratio = (now.log_prob - batch.log_probs).exp()
+        surrogate = surrogate_loss(ratio, batch.advantages, config.clip)
+        of_value = value_loss(
+            now.value, batch.values, batch.returns, config.clip if config.clipped_value_loss else None
+        )
+        loss = surrogate + config.value_coefficient * of_value - config.entropy_coefficient * now.entropy
+
+        self.optimizer.zero_grad()
+        loss.backward()  # type: ignore[no-untyped-call]
+        grad_norm = nn.utils.clip_grad_norm_(self.model.parameters(), config.max_grad_norm).item()
+        if not math.isfinite(grad_norm):
+            raise DataError(
+                f"the gradient of the PPO loss is not finite (loss {loss.item():g}, KL {kl:g}, learning rate "
+                f"{self.learning_rate:g}); resume the last checkpoint with a smaller ppo.max_learning_rate"
+            )
+        self.optimizer.step()
+        # A step can take a small standard deviation below zero, where it has no logarithm.
+        self.model.floor_std(_SMALLEST_STD)
+        return {
+            "surrogate_loss": surrogate.item(),
+            "value_loss": of_value.item(),
+            "entropy": now.entropy.item(),
+            "kl": kl,
+            "clip_fraction": ((ratio - 1.0).abs() > config.clip).float().mean().item(),
+            "grad_norm": grad_norm,
+        }
+
+
+def _explained_variance(values: Tensor, returns: Tensor) -> Tensor:
+    """1 - Var(R - V) / Var(R): 1 for a perfect critic, 0 for a constant one; nan where returns do not vary."""
+    return 1.0 - (returns - values).var() / returns.var()

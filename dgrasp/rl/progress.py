@@ -1,0 +1,73 @@
+"""How far the training is: a live bar on a terminal, plain lines elsewhere."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn
+
+LINE_INTERVAL_S = 30.0
+
+
+def format_duration(seconds: float) -> str:
+    """Hours, minutes and seconds, such as 1:02:03."""
+    minutes, second = divmod(int(seconds), 60)
+    hour, minute = divmod(minutes, 60)
+    return f"{hour}:{minute:02d}:{second:02d}"
+
+
+class TrainingProgress:
+    """Shows epoch, control steps per second, time left and the last success.
+
+    total_steps: control steps of the whole training; done_steps: those of a run that is resumed.
+    """
+
+    def __init__(
+        self,
+        total_steps: int,
+        done_steps: int,
+        console: Console | None = None,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._console = console if console is not None else Console(stderr=True)
+        self._clock = clock
+        self._total, self._first, self._done = total_steps, done_steps, done_steps
+        self._start = self._last_line = clock()
+        self._success: float | None = None
+        self._bar: Progress | None = None
+        if self._console.is_terminal and not self._console.is_dumb_terminal:
+            columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.percentage:>5.1f}%"))
+            self._bar = Progress(*columns, console=self._console, refresh_per_second=2)
+            self._task = self._bar.add_task("", total=total_steps, completed=done_steps)
+            self._bar.start()
+
+    def advance(self, steps: int, place: str) -> None:
+        """Count control steps; `place` says where the training is, such as "epoch 3/10"."""
+        self._done += steps
+        now = self._clock()
+        if self._bar is not None:
+            self._bar.update(self._task, completed=self._done, description=self._status(place, now))
+        elif now - self._last_line >= LINE_INTERVAL_S:
+            self._last_line = now
+            self.message(self._status(place, now))
+
+    def success(self, success: float) -> None:
+        """Remember the last success, a fraction."""
+        self._success = success
+
+    def message(self, text: str) -> None:
+        """Print a line of plain text, above the bar if there is one."""
+        self._console.print(text, markup=False, highlight=False, soft_wrap=True)
+
+    def close(self) -> None:
+        """Leave the terminal as it was."""
+        if self._bar is not None:
+            self._bar.stop()
+
+    def _status(self, place: str, now: float) -> str:
+        rate = (self._done - self._first) / max(now - self._start, 1e-9)
+        left = (self._total - self._done) / rate if rate > 0.0 else 0.0
+        success = "" if self._success is None else f", success {self._success:.3f}"
+        return f"{place}, {rate:,.0f} steps/s, {format_duration(left)} left{success}"

@@ -1,0 +1,254 @@
+"""The training run: collect, update, evaluate, log, save; interrupted and resumed without a trace."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from dgrasp import __version__
+from dgrasp.config import Config
+from dgrasp.errors import ConfigError, DataError
+from dgrasp.rl import checkpoint as checkpoints
+from dgrasp.rl.checkpoint import Checkpoint
+from dgrasp.rl.interrupts import interruptible, uninterruptible
+from dgrasp.rl.log import RETURN, STEPS_PER_SECOND, SUCCESS, TERMINATED, TRUNCATED, UPDATE_SHARE, Log
+from dgrasp.rl.networks import ActorCritic, Policy
+from dgrasp.rl.ppo import Ppo
+from dgrasp.rl.storage import Rollout
+from dgrasp.rl.vec_env import Step, VecEnv
+from dgrasp.types import Array
+
+Evaluate = Callable[[Policy], dict[str, Any]]
+"""Deterministic evaluation: numbers by name, "success" among them, and "gif" (bytes) if there is one."""
+
+
+class Interrupted(Exception):
+    """The training was interrupted; `checkpoint` holds its last completed epoch."""
+
+    def __init__(self, checkpoint: Path, epoch: int) -> None:
+        super().__init__(f"interrupted; epoch {epoch} is saved in {checkpoint}, continue with --resume")
+        self.checkpoint, self.epoch = checkpoint, epoch
+
+
+def epoch_generator(seed: int, epoch: int) -> torch.Generator:
+    """The learner's randomness in an epoch, on the CPU; epoch 0 is the initialisation of the networks."""
+    # The spawn key keeps it apart from streams that others derive from the same two numbers.
+    sequence = np.random.SeedSequence([seed, epoch], spawn_key=(1,))
+    return torch.Generator().manual_seed(int(sequence.generate_state(1, np.uint64)[0]))
+
+
+def pick_device(name: str) -> torch.device:
+    """The torch device for the config's `device`: auto takes a GPU if there is one."""
+    if name == "cuda" and not torch.cuda.is_available():
+        raise ConfigError("device: cuda is not available here; expected auto or cpu")
+    return torch.device("cuda" if name != "cpu" and torch.cuda.is_available() else "cpu")
+
+
+class Runner:
+    """Trains a policy in `env` and keeps the run directory.
+
+    data_stamp: what was trained on, as plain JSON values. evaluate: called before the first epoch, every
+    `eval.every` epochs and at the end. resume: continue from the newest checkpoint of `run_dir`, to the bit
+    as if the run had never stopped. Raises `ConfigError` for a directory that holds another run,
+    `DataError` for a checkpoint that cannot be resumed.
+    """
+
+    def __init__(
+        self,
+        env: VecEnv,
+        config: Config,
+        run_dir: Path,
+        data_stamp: dict[str, Any],
+        evaluate: Evaluate | None = None,
+        resume: bool = False,
+    ) -> None:
+        self.env, self.config, self.run_dir, self.evaluate = env, config, run_dir, evaluate
+        self.data_stamp = json.loads(json.dumps(data_stamp))
+        ppo, steps = config.ppo, config.env.episode_steps
+        if steps * env.num_envs < ppo.minibatches:
+            raise ConfigError(
+                f"ppo.minibatches: {ppo.minibatches} are more than the {steps * env.num_envs} samples of an epoch"
+            )
+        self.device = pick_device(config.device)
+        self.model = ActorCritic(
+            env.observation_size, env.action_size, ppo.hidden, ppo.initial_std, epoch_generator(config.seed, 0)
+        ).to(self.device)
+        self.ppo = Ppo(self.model, ppo)
+        self.rollout = Rollout(steps, env.num_envs, env.observation_size, env.action_size, self.device)
+        self.epoch = 0
+        self.best_success: float | None = None
+        self._notices: list[str] = []
+        if resume:
+            self._restore()
+        elif checkpoints.saved(run_dir):
+            raise ConfigError(f"{run_dir} already holds checkpoints; continue with --resume or choose another --run")
+        self._completed = self._snapshot()
+
+    def learn(self) -> None:
+        """Train to the last epoch; `Interrupted` on Ctrl-C or SIGTERM, with the last completed epoch saved."""
+        with interruptible():
+            try:
+                with self._open_log() as log:
+                    self._learn(log)
+            except KeyboardInterrupt:
+                with uninterruptible():
+                    path = self._save()
+                raise Interrupted(path, self._completed.epoch) from None
+
+    def _learn(self, log: Log) -> None:
+        for notice in self._notices:
+            log.message(notice)
+        last_epoch = self.config.ppo.epochs
+        if self.epoch == 0:
+            self._complete(0, {}, log)
+        elif self.epoch >= last_epoch:
+            log.message(f"epoch {self.epoch} of {last_epoch} is reached; raise ppo.epochs to train on")
+        for epoch in range(self.epoch + 1, last_epoch + 1):
+            generator = epoch_generator(self.config.seed, epoch)
+            started = time.monotonic()
+            rewards = self._collect(epoch, generator, log)
+            collected = time.monotonic()
+            statistics = self.ppo.update(self.rollout, generator)
+            speed = self._speed(collected - started, time.monotonic() - collected)
+            self._complete(epoch, {**rewards, **_tagged("ppo", statistics), **speed}, log)
+            if epoch % self.config.checkpoint.every == 0 or epoch == last_epoch:
+                self._save()
+
+    def _collect(self, epoch: int, generator: torch.Generator, log: Log) -> dict[str, float]:
+        """Fill the rollout with one epoch and compute its returns; the epoch's reward statistics."""
+        env, rollout = self.env, self.rollout
+        rollout.clear()
+        observation = env.reset(epoch)
+        self._check_finite(observation, "observation", epoch, 0)
+        term_sums, ends = np.zeros(len(env.reward_terms)), np.zeros(2)
+        for step in range(rollout.steps):
+            acted = self.model.act(rollout.observe(observation), generator)
+            result = env.step(acted.action.cpu().numpy())
+            observation = result.observation
+            self._check_finite(observation, "observation", epoch, step + 1)
+            self._check_finite(result.reward, "reward", epoch, step + 1)
+            rollout.record(
+                acted, result.reward, result.terminated, result.truncated, self._final_values(result, epoch, step + 1)
+            )
+            term_sums += result.reward_terms.sum(axis=0, dtype=np.float64)
+            ends += (result.terminated.sum(), result.truncated.sum())
+            log.step(epoch, env.num_envs)
+        log.events(epoch, env.drain_events())
+        last_values = self._values(observation)
+        rollout.compute_returns(last_values, self.config.ppo.gamma, self.config.ppo.lam)
+
+        # Sums over the epoch per environment, so that they compare however many episodes it holds.
+        values = {RETURN: float(rollout.rewards.sum(0, dtype=torch.float64).mean())}
+        values |= {TERMINATED: float(ends[0]) / env.num_envs, TRUNCATED: float(ends[1]) / env.num_envs}
+        return values | _tagged("reward", dict(zip(env.reward_terms, term_sums / env.num_envs, strict=True)))
+
+    def _final_values(self, result: Step, epoch: int, step: int) -> torch.Tensor | None:
+        """Values (N,) of the last observations of truncated episodes, 0 elsewhere; None without any."""
+        rows = np.flatnonzero(result.truncated)
+        if not len(rows):
+            return None
+        final = np.zeros_like(result.final_observation)
+        final[rows] = result.final_observation[rows]
+        self._check_finite(final, "final observation", epoch, step)
+        values = torch.zeros(self.env.num_envs, device=self.device)
+        values[torch.tensor(rows, device=self.device)] = self._values(final[rows])
+        return values
+
+    @torch.no_grad()
+    def _values(self, observation: Array) -> torch.Tensor:
+        return self.model.value(torch.tensor(observation, device=self.device))
+
+    @staticmethod
+    def _check_finite(array: Array, name: str, epoch: int, step: int) -> None:
+        if np.isfinite(array).all():
+            return
+        place = np.argwhere(~np.isfinite(array))[0]
+        entry = f", entry {place[1]}," if len(place) > 1 else ""
+        raise DataError(
+            f"environment {place[0]}, epoch {epoch}, step {step}: the {name}{entry} is {array[tuple(place)]}; "
+            "expected finite numbers. The environment must end an unstable episode itself"
+        )
+
+    def _speed(self, collect_s: float, update_s: float) -> dict[str, float]:
+        seconds = collect_s + update_s
+        own = {STEPS_PER_SECOND: self._steps_per_epoch / seconds, UPDATE_SHARE: update_s / seconds}
+        return {**_tagged("speed", self.env.timing()), **own}
+
+    def _complete(self, epoch: int, values: dict[str, float], log: Log) -> None:
+        """Evaluate if it is time to, log, and take the snapshot that makes the epoch count as completed."""
+        self.epoch = epoch
+        gif = None
+        if self.evaluate is not None and (epoch % self.config.eval.every == 0 or epoch == self.config.ppo.epochs):
+            results = dict(self.evaluate(self.model.policy()))
+            gif = results.pop("gif", None)
+            values = {**values, **_tagged("eval", results)}
+            self.best_success = max(values[SUCCESS], self.best_success or 0.0)
+        if values:
+            log.epoch(epoch, values, gif)
+        self._completed = self._snapshot()
+
+    @property
+    def _steps_per_epoch(self) -> int:
+        return self.config.env.episode_steps * self.env.num_envs
+
+    def _open_log(self) -> Log:
+        return Log(
+            self.run_dir,
+            self.config,
+            self.data_stamp,
+            self.env.reward_terms,
+            self._steps_per_epoch,
+            self.epoch,
+        )
+
+    def _snapshot(self) -> Checkpoint:
+        return Checkpoint(
+            epoch=self.epoch,
+            model=checkpoints.to_cpu(self.model.state_dict()),
+            optimizer=checkpoints.to_cpu(self.ppo.optimizer.state_dict()),
+            learning_rate=self.ppo.learning_rate,
+            architecture=self.model.architecture(),
+            config=self.config.model_dump(mode="json"),
+            data=self.data_stamp,
+            code=__version__,
+            best_success=self.best_success,
+        )
+
+    def _save(self) -> Path:
+        path = checkpoints.save(self.run_dir, self._completed)
+        checkpoints.prune(self.run_dir, self.config.checkpoint.keep)
+        return path
+
+    def _restore(self) -> None:
+        path = checkpoints.latest(self.run_dir)
+        found = checkpoints.load(path)
+        checkpoints.restore(found, path, self.model, self.ppo.optimizer)
+        if not self.config.ppo.adaptive_learning_rate:
+            self.ppo.learning_rate = self.config.ppo.learning_rate
+        self.epoch, self.best_success = found.epoch, found.best_success
+        self._notices.append(f"resumed after epoch {found.epoch} from {path}")
+        for name, there, here in (
+            ("config", _flat(found.config), _flat(self.config.model_dump(mode="json"))),
+            ("data", _flat(found.data), _flat(self.data_stamp)),
+        ):
+            changed = [key for key in sorted({*there, *here}) if there.get(key) != here.get(key)]
+            if changed:
+                self._notices.append(f"note: the {name} differs from the checkpoint's in {', '.join(changed)}")
+
+
+def _tagged(group: str, values: Mapping[str, Any]) -> dict[str, float]:
+    return {f"{group}/{name}": float(value) for name, value in values.items()}
+
+
+def _flat(values: Mapping[Any, Any], prefix: str = "") -> dict[str, Any]:
+    """Nested mappings as one with dotted keys."""
+    flat: dict[str, Any] = {}
+    for key, value in values.items():
+        flat |= _flat(value, f"{prefix}{key}.") if isinstance(value, dict) else {f"{prefix}{key}": value}
+    return flat

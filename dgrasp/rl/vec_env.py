@@ -1,0 +1,57 @@
+"""What the learner needs of a set of environments; `dgrasp.pool` implements it."""
+
+from __future__ import annotations
+
+from typing import NamedTuple, Protocol
+
+from dgrasp.types import Array
+
+
+class Step(NamedTuple):
+    """One control step of N environments. The arrays are views that the next call overwrites.
+
+    observation: (N, O) float32, where an episode ended already the first one of the next episode.
+    reward: (N,) float32. terminated, truncated: (N,) bool; a truncated episode ran into its time limit.
+    final_observation: (N, O) float32, the last observation of the episode that just ended; valid where
+        terminated or truncated.
+    reward_terms: (N, K) float32, weighted, in the order of `VecEnv.reward_terms`.
+    """
+
+    observation: Array
+    reward: Array
+    terminated: Array
+    truncated: Array
+    final_observation: Array
+    reward_terms: Array
+
+
+class VecEnv(Protocol):
+    """N environments that step together, with O observations, A actions and K named reward terms."""
+
+    @property
+    def num_envs(self) -> int:
+        """N."""
+
+    @property
+    def observation_size(self) -> int:
+        """O."""
+
+    @property
+    def action_size(self) -> int:
+        """A."""
+
+    @property
+    def reward_terms(self) -> tuple[str, ...]:
+        """Names of the K reward terms."""
+
+    def reset(self, epoch: int) -> Array:
+        """First observations (N, O) float32 of an epoch that depends on (seed, epoch, environment) alone."""
+
+    def step(self, actions: Array) -> Step:
+        """Apply the actions (N, A) float32, dimensionless, for one control step."""
+
+    def timing(self) -> dict[str, float]:
+        """How the time since the last reset was spent, such as `physics_share`."""
+
+    def drain_events(self) -> list[str]:
+        """What happened since the last call that a person should read, such as unstable episodes."""

@@ -1,0 +1,246 @@
+"""Damaged and hostile label files: each ends in one `DataError` or in sound labels, and nothing is executed."""
+
+from __future__ import annotations
+
+import copyreg
+import io
+import os
+import pickle
+import struct
+import zipfile
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from dgrasp.errors import DataError
+from dgrasp.labels.joblib_reader import read_joblib_arrays
+from dgrasp.labels.native import read_native, write_native
+from dgrasp.labels.official import read_official
+from dgrasp.labels.source import load_labels
+from dgrasp.types import GraspLabel
+from tests.labels.files import WRAPPER, array_opcodes, dexycb_content, dtype_opcodes, dump, make_labels, opcodes
+from tests.labels.files import static_content, text
+
+pytestmark = pytest.mark.filterwarnings("error")
+
+N_OFFICIAL, N_NATIVE, N_MEMBERS = 240, 120, 60
+
+
+def mutate(raw: bytes, rng: np.random.Generator) -> bytes:
+    """One to four changes: bits, bytes, runs cut out, doubled or moved, the end lost, extreme numbers."""
+    data = bytearray(raw)
+    for _ in range(rng.integers(1, 5)):
+        if not data:
+            break
+        # Half of the changes hit the first kilobyte, where most of the structure is.
+        at = int(rng.integers(min(len(data), 1000) if rng.random() < 0.5 else len(data)))
+        run = int(rng.integers(1, 64))
+        kind = rng.integers(7)
+        if kind == 0:
+            data[at] ^= 1 << int(rng.integers(8))
+        elif kind == 1:
+            data[at] = int(rng.integers(256))
+        elif kind == 2:
+            del data[at : at + run]
+        elif kind == 3:
+            data[at:at] = data[at : at + run]
+        elif kind == 4:
+            data[at:at] = rng.bytes(run)
+        elif kind == 5:
+            data[at : at + 8] = struct.pack("<d", rng.choice([np.nan, np.inf, 1e300, -1e300, 1e-300]))
+        else:
+            del data[at:]
+    return bytes(data)
+
+
+def outcome(read: Callable[[Path], list[GraspLabel]], path: Path) -> bool:
+    """Whether the file was refused; labels that were read must be sound. Anything but a `DataError` fails."""
+    try:
+        labels = read(path)
+    except DataError as error:
+        assert str(path) in str(error)
+        assert len(str(error)) < 2000
+        return True
+    for label in labels:
+        for values in (label.hand_pose, label.T_WH, label.T_WO, label.joints_W):
+            assert np.isfinite(values).all()
+        assert label.goal_contacts.shape == (16,)
+        np.testing.assert_allclose(label.T_WO[:3, :3] @ label.T_WO[:3, :3].T, np.eye(3), atol=1e-5)
+    return False
+
+
+@pytest.mark.parametrize("layout", [dexycb_content, static_content])
+@pytest.mark.parametrize("aligned", [False, True])
+def test_mutated_official_files(tmp_path: Path, layout: Callable[[], dict[int, Any]], aligned: bool) -> None:
+    path = dump(tmp_path / "a.pkl", layout(), aligned)
+    raw, rng = path.read_bytes(), np.random.default_rng(11)
+    assert not outcome(read_official, path)
+    refused = 0
+    for _ in range(N_OFFICIAL // 4):
+        path.write_bytes(mutate(raw, rng))
+        refused += outcome(read_official, path)
+    assert refused > N_OFFICIAL // 8
+
+
+def test_mutated_native_files(tmp_path: Path) -> None:
+    path = tmp_path / "a.npz"
+    write_native(path, make_labels(), "p", "l")
+    raw, rng = path.read_bytes(), np.random.default_rng(12)
+    refused = 0
+    for _ in range(N_NATIVE):
+        path.write_bytes(mutate(raw, rng))
+        refused += outcome(read_native, path)
+    assert refused > N_NATIVE // 2
+
+
+def test_native_files_with_mutated_members(tmp_path: Path) -> None:
+    path = tmp_path / "a.npz"
+    write_native(path, make_labels(), "p", "l")
+    with zipfile.ZipFile(path) as archive:
+        members = {name: archive.read(name) for name in archive.namelist()}
+    rng = np.random.default_rng(13)
+    refused = 0
+    for _ in range(N_MEMBERS):
+        victim = str(rng.choice(sorted(members)))
+        with zipfile.ZipFile(path, "w") as archive:
+            for name, raw in members.items():
+                archive.writestr(name, mutate(raw, rng) if name == victim else raw)
+        refused += outcome(read_native, path)
+    assert refused > N_MEMBERS // 4
+
+
+def test_every_truncation_point_is_refused(tmp_path: Path) -> None:
+    path = dump(tmp_path / "a.pkl", static_content(objects=(3,), n=1))
+    raw = path.read_bytes()
+    for end in range(0, len(raw), 23):
+        path.write_bytes(raw[:end])
+        assert outcome(read_official, path)
+
+
+class _Evil:
+    def __init__(self, function: Any, *arguments: Any) -> None:
+        self.call = (function, arguments)
+
+    def __reduce__(self) -> tuple[Any, Any]:
+        return self.call
+
+
+def _global(module: str, name: str) -> bytes:
+    return b"c" + module.encode() + b"\n" + name.encode() + b"\n"
+
+
+def hostile_streams(command: str, code: str) -> Iterator[tuple[str, bytes]]:
+    """Pickles that would run `command` (a shell's) or `code` (Python's), or that reach for more than arrays."""
+    system = _global("os", "system") + text(command) + b"\x85R"
+    for protocol in (2, 3, 4, 5):
+        yield f"os.system, protocol {protocol}", pickle.dumps(_Evil(os.system, command), protocol)
+        yield f"exec, protocol {protocol}", pickle.dumps(_Evil(exec, code), protocol)
+    head = b"\x80\x03"
+    yield "posix.system", head + _global("posix", "system") + text(command) + b"\x85R."
+    yield "subprocess", head + _global("subprocess", "check_call") + text(command) + b"\x85R."
+    yield "eval", head + _global("builtins", "eval") + text(code) + b"\x85R."
+    yield "getattr of os", head + _global("builtins", "getattr") + _global("os", "path") + text("join") + b"\x86R."
+    yield "dotted name", b"\x80\x04" + text("os") + text("path.join") + b"\x93."
+    yield "numpy function", head + _global("numpy", "fromfile") + text(command) + b"\x85R."
+    yield "numpy object array", pickle.dumps(np.array([_Evil(os.system, command)], dtype=object), 3)
+    yield "value in a dictionary", head + b"}J\x03\x00\x00\x00" + system + b"s."
+    yield "key in a dictionary", head + b"}" + system + b"Ns."
+    good = opcodes(static_content(objects=(3,), n=1))
+    yield "after good labels", head + good + b"J\x04\x00\x00\x00" + system + b"s."
+    yield "in an array's header", head + array_opcodes(np.zeros(3), False, before=text("shape") + system) + b"."
+    yield "as an array's dtype", head + _global("numpy", "dtype") + system + b"\x85R."
+    yield "as an array's class", head + WRAPPER + b"}(" + text("subclass") + _global("os", "system") + b"ub."
+    yield "in a scalar", head + _global("numpy.core.multiarray", "scalar") + dtype_opcodes(np.dtype("i8")) + system + b"\x86R."
+    yield "as a dtype's state", head + _global("numpy", "dtype") + b"(" + text("f8") + b"\x89\x88tR(K\x03" + system + b"tb."
+    yield "INST", head + b"(" + text(command) + b"ios\nsystem\n."
+    yield "OBJ", head + b"(" + _global("os", "system") + text(command) + b"o."
+    yield "NEWOBJ_EX", b"\x80\x04" + _global("os", "system") + text(command) + b"\x85}\x92."
+    yield "NEWOBJ", head + _global("os", "system") + text(command) + b"\x85\x81."
+    yield "EXT1", head + b"\x82\xf0" + text(command) + b"\x85R."
+    yield "EXT2", head + b"\x83\xf0\x00" + text(command) + b"\x85R."
+    yield "EXT4", head + b"\x84\xf0\x00\x00\x00" + text(command) + b"\x85R."
+    yield "PERSID", head + b"P" + command.encode() + b"\n."
+    yield "BINPERSID", head + text(command) + b"Q."
+    yield "BUILD on a class", head + WRAPPER[:-2] + b"}(" + text("__setstate__") + _global("os", "system") + b"ub."
+    yield "call of what was read", head + WRAPPER + text(command) + b"\x85R."
+
+
+@pytest.fixture
+def in_extension_registry() -> Iterator[None]:
+    copyreg.add_extension("os", "system", 0xF0)
+    yield
+    copyreg.remove_extension("os", "system", 0xF0)
+
+
+def test_nothing_is_executed(tmp_path: Path, in_extension_registry: None, monkeypatch: pytest.MonkeyPatch) -> None:
+    called: list[Any] = []
+    marker = tmp_path / "executed"
+    streams = list(hostile_streams(f"touch {marker}", f"open({str(marker)!r}, 'w')"))
+    assert len({name for name, _ in streams}) == len(streams) > 30
+    # The real functions are out of reach too, should a test fail.
+    monkeypatch.setattr(os, "system", called.append)
+    path = tmp_path / "a.pkl"
+    for name, raw in streams:
+        path.write_bytes(raw)
+        for read in (read_official, load_labels):
+            with pytest.raises(DataError, match="a.pkl"):
+                read(path)
+        assert not marker.exists(), name
+        assert not called, name
+
+
+def _doubled(times: int) -> bytes:
+    """A tuple that holds the same tuple twice, `times` deep, by way of the memo: 2 ** times leaves."""
+    return b")q\x00" + b"h\x00h\x00\x86q\x00" * times
+
+
+@pytest.mark.parametrize(
+    "body",
+    [
+        b"}" + _doubled(60) + b"Ns.",
+        b"}(" + _doubled(60) + b"Nu.",
+        b"}" + b")" + b"\x85" * 500_000 + b"Ns.",
+        _global("numpy", "dtype") + _doubled(60) + b"\x85R.",
+        WRAPPER + b"}(" + text("shape") + _doubled(60) + text("order") + text("C") + text("dtype")
+        + dtype_opcodes(np.dtype("f8")) + b"ub.",
+        b"}J\x03\x00\x00\x00" + _doubled(60) + b"s.",
+        b"}J\x03\x00\x00\x00}" + text("final_qpos") + _doubled(60) + b"ss.",
+        b"}J\x03\x00\x00\x00}(" + b"".join(text(f) + _doubled(60) for f in (
+            "final_qpos", "final_wpos", "final_obj", "final_contacts")) + b"us.",
+        b"]" * 500_000 + b"a" * 499_999 + b".",
+        b"}\x8b" + struct.pack("<I", 300_000) + b"\x01" * 300_000 + b"Ns.",
+        b"}\x8a\xff" + b"\x01" * 255 + b"}s.",
+        b"\x96" + struct.pack("<Q", 2**45) + b".",
+        b"\x8f(" + _doubled(60) + b"\x90.",
+        b"(" + _doubled(60) + b"\x91.",
+        WRAPPER + b"}(" + text("shape") + b"(" + b"J\xff\xff\xff\x7f" * 8 + b"t" + text("order") + text("C")
+        + text("dtype") + dtype_opcodes(np.dtype("f8")) + b"ub.",
+        WRAPPER + b"}(" + text("shape") + b"(" + b"K\x00" + b"J\xff\xff\xff\x7f" * 7 + b"t" + text("order") + text("C")
+        + text("dtype") + dtype_opcodes(np.dtype("f8")) + b"ub.",
+    ],
+    ids=range(16),
+)
+def test_streams_made_to_hang_crash_or_fill_the_memory(tmp_path: Path, body: bytes) -> None:
+    path = tmp_path / "a.pkl"
+    path.write_bytes(b"\x80\x03" + body)
+    assert outcome(read_official, path)
+
+
+def test_framed_pickles_are_read(tmp_path: Path) -> None:
+    value = {"a": [1, 2**40, -1, True, None, 0.5, "text" * 100], "b": {3: (1, 2)}}
+    for protocol in (2, 3, 4, 5):
+        (tmp_path / "a.pkl").write_bytes(pickle.dumps(value, protocol))
+        assert read_joblib_arrays(tmp_path / "a.pkl") == value
+
+
+def test_hostile_arrays_in_native_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    called: list[Any] = []
+    monkeypatch.setattr(os, "system", called.append)
+    stream = io.BytesIO()
+    np.savez(stream, meta=np.array([_Evil(os.system, "touch x")], dtype=object))
+    (tmp_path / "a.npz").write_bytes(stream.getvalue())
+    assert outcome(load_labels, tmp_path / "a.npz")  # type: ignore[arg-type]
+    assert not called

@@ -1,0 +1,76 @@
+from __future__ import annotations
+
+import hashlib
+from pathlib import Path
+
+import pytest
+
+from dgrasp.errors import DataError
+from dgrasp.labels.native import write_native
+from dgrasp.labels.source import LabelSet, load_labels, select
+from tests.labels.files import dexycb_content, dump, make_labels, static_content
+
+
+def test_reader_is_chosen_by_content_not_by_name(tmp_path: Path) -> None:
+    write_native(tmp_path / "a.pkl", make_labels(), "p", "CC0-1.0")
+    labels = load_labels(tmp_path / "a.pkl")
+    assert (labels.hand, labels.licence, labels.published_as) == ("free", "CC0-1.0", None)
+    assert not labels.comparable_with_paper
+    assert labels.sha256 == hashlib.sha256((tmp_path / "a.pkl").read_bytes()).hexdigest()
+    official = load_labels(dump(tmp_path / "b.npz", dexycb_content()))
+    assert official.hand == "mano_mean"
+    assert not official.comparable_with_paper
+
+
+@pytest.mark.parametrize(
+    ("name", "key"),
+    [("dexycb_test_labels.pkl", ("dexycb", "test")), ("contact_opt_train.pkl", ("contactopt", "train"))],
+)
+def test_published_files_are_known_by_name(tmp_path: Path, name: str, key: tuple[str, str]) -> None:
+    content = static_content() if key[0] == "contactopt" else dexycb_content()
+    labels = load_labels(dump(tmp_path / name, content))
+    assert labels.published_as == key
+    assert labels.comparable_with_paper
+    assert "MANO" in labels.licence
+    assert ("DexYCB" in labels.licence) == (key[0] == "dexycb")
+
+
+@pytest.mark.parametrize("raw", [b"", b"P", b"hello", b"\x1f\x8b\x08", b"{}"])
+def test_other_files_are_refused(tmp_path: Path, raw: bytes) -> None:
+    (tmp_path / "a.pkl").write_bytes(raw)
+    with pytest.raises(DataError, match=r"neither a joblib pickle nor a \.npz"):
+        load_labels(tmp_path / "a.pkl")
+
+
+def test_missing_file_and_folder(tmp_path: Path) -> None:
+    for path in (tmp_path / "no.pkl", tmp_path):
+        with pytest.raises(DataError, match="no such label file"):
+            load_labels(path)
+
+
+@pytest.fixture
+def labels(tmp_path: Path) -> LabelSet:
+    return load_labels(dump(tmp_path / "a.pkl", dexycb_content(objects=(12, 3, 14), n=3)))
+
+
+def test_select_keeps_the_order_of_the_file(labels: LabelSet) -> None:
+    chosen = select(labels, ["025", "021_bleach_cleanser"], 2)
+    assert [(x.object_id, x.index) for x in chosen.labels] == [
+        ("021_bleach_cleanser", 0), ("021_bleach_cleanser", 1), ("025_mug", 0), ("025_mug", 1)
+    ]
+    assert chosen.objects == ["021_bleach_cleanser", "025_mug"]
+    assert chosen.sha256 == labels.sha256
+
+
+def test_select_without_a_choice_takes_all(labels: LabelSet) -> None:
+    assert select(labels).labels == labels.labels
+    assert len(select(labels, limit_per_object=1).labels) == 3
+    assert len(select(labels, limit_per_object=99).labels) == 9
+    assert len(labels.labels) == 9
+
+
+def test_select_names_the_nearest(labels: LabelSet) -> None:
+    with pytest.raises(DataError, match="did you mean '004_sugar_box'"):
+        select(labels, ["004_suger_box"])
+    with pytest.raises(DataError, match="no label of '011_banana'.*it has 021_bleach_cleanser, 004_sugar_box, 025_mug"):
+        select(labels, ["011_banana"])

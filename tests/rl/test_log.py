@@ -1,0 +1,196 @@
+"""What a run writes down, read back."""
+
+from __future__ import annotations
+
+import errno
+import io
+import os
+from pathlib import Path
+from typing import Any
+
+import pytest
+from rich.console import Console
+from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+from tensorboard.plugins.custom_scalar import layout_pb2
+
+from dgrasp.errors import DataError
+from dgrasp.rl.log import Log
+from dgrasp.rl.networks import Policy
+from dgrasp.rl.progress import LINE_INTERVAL_S, TrainingProgress, format_duration
+from dgrasp.rl.runner import Runner
+from tests.rl.toy import ToyEnv, toy_config
+
+# The smallest header of a GIF: 7 x 5 pixels.
+GIF = b"GIF89a" + (7).to_bytes(2, "little") + (5).to_bytes(2, "little") + b"\0\0\0;"
+
+
+def _console() -> tuple[Console, io.StringIO]:
+    stream = io.StringIO()
+    return Console(file=stream, force_terminal=False), stream
+
+
+def _events(run_dir: Path) -> EventAccumulator:
+    events = EventAccumulator(str(run_dir), size_guidance={"tensors": 0, "images": 0, "scalars": 0})
+    events.Reload()
+    return events
+
+
+def _text(events: EventAccumulator, tag: str) -> str:
+    return str(events.Tensors(f"{tag}/text_summary")[0].tensor_proto.string_val[0].decode())
+
+
+def _evaluate(policy: Policy) -> dict[str, Any]:
+    return {"success": 0.75, "contact_ratio": 0.5, "sim_dist": 1.5, "gif": GIF}
+
+
+def _report(env: ToyEnv, epoch: int, step: int) -> None:
+    if epoch == 2:
+        env.events.append(f"environment {step}: unstable")
+
+
+@pytest.fixture(scope="module")
+def run_dir(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("run")
+    Runner(ToyEnv(on_step=_report), toy_config(), path, {"hand": "toy <b>"}, _evaluate).learn()
+    return path
+
+
+def test_scalars(run_dir: Path) -> None:
+    events = _events(run_dir)
+    tags = set(events.Tags()["scalars"])
+    wanted = {
+        "train/return", "train/terminated", "train/truncated", "reward/contact_reward", "reward/effort",
+        "ppo/kl", "ppo/learning_rate", "ppo/action_std", "ppo/explained_variance", "speed/steps_per_second",
+        "speed/physics_share", "speed/update_share", "eval/success", "eval/contact_ratio", "eval/sim_dist",
+    }  # fmt: skip
+    assert wanted <= tags
+    assert [event.step for event in events.Scalars("train/return")] == [1, 2, 3, 4]
+    assert [(event.step, event.value) for event in events.Scalars("eval/success")] == [(0, 0.75), (2, 0.75), (4, 0.75)]
+    # The reward is the sum of its terms, and so is the return.
+    terms = [events.Scalars(f"reward/{term}")[1].value for term in ToyEnv.reward_terms]
+    assert events.Scalars("train/return")[1].value == pytest.approx(sum(terms), rel=1e-5)
+    # Epochs of 10 steps hold one end of an episode of 7 steps per environment.
+    ends = events.Scalars("train/truncated")[0].value + events.Scalars("train/terminated")[0].value
+    assert ends >= 1.0
+
+
+def test_config_and_data_are_there_as_text(run_dir: Path) -> None:
+    events = _events(run_dir)
+    assert "    seed: 1\n" in _text(events, "config")
+    assert '"hand": "toy <b>"' in _text(events, "data")
+
+
+def test_gif_is_stored_as_it_is(run_dir: Path) -> None:
+    images = _events(run_dir).Images("eval/episode")
+    assert [image.step for image in images] == [0, 2, 4]
+    assert images[0].encoded_image_string == GIF and (images[0].width, images[0].height) == (7, 5)
+
+
+def test_the_page_shows_the_five_that_matter_first(run_dir: Path) -> None:
+    event = _events(run_dir).Tensors("custom_scalars__config__")[0]
+    layout = layout_pb2.Layout()
+    layout.ParseFromString(event.tensor_proto.string_val[0])
+    first = layout.category[0]
+    assert [chart.title for chart in first.chart] == ["success", "return", "contact", "KL", "steps per second"]
+    contact = list(first.chart[2].multiline.tag)
+    assert contact == ["eval/contact_ratio", "reward/contact_reward"]
+
+
+def test_events_of_the_environments(run_dir: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert "environment 10: unstable" in _text(_events(run_dir), "events")
+    Runner(ToyEnv(on_step=_report), toy_config(epochs=2), tmp_path, {}).learn()
+    shown = capsys.readouterr().err
+    assert "epoch 2: environment 3: unstable" in shown and "environment 4" not in shown
+    assert "epoch 2: and 7 more such events" in shown
+
+
+def test_csv(run_dir: Path) -> None:
+    lines = (run_dir / "progress.csv").read_text().splitlines()
+    header = lines[0].split(",")
+    assert header[:4] == ["epoch", "control_steps", "seconds", "return"]
+    assert [line.split(",")[:2] for line in lines[1:]] == [[str(n), str(80 * n)] for n in range(5)]
+    assert {len(line.split(",")) for line in lines} == {len(header)}
+    assert [line.split(",")[header.index("success")] for line in lines[1:]] == ["0.75", "", "0.75", "", "0.75"]
+
+
+def _log(run_dir: Path, resumed: int = 0, terms: tuple[str, ...] = ("a",)) -> Log:
+    return Log(run_dir, toy_config(), {}, terms, 80, resumed, _console()[0])
+
+
+def test_resumed_csv_keeps_its_header_and_its_clock(tmp_path: Path) -> None:
+    header = "epoch,control_steps,seconds,return,a\n"
+    (tmp_path / "progress.csv").write_text(header + "1,80,100.0,-1,2\n2,160,200.0,-1,2\nx,,,,\n3,240,300.0,-1,2\n4,3")
+    with _log(tmp_path, resumed=2, terms=("b",)) as log:
+        log.epoch(3, {"train/return": -0.5, "reward/b": 7.0})
+    lines = (tmp_path / "progress.csv").read_text().splitlines()
+    assert lines[:3] == [header.strip(), "1,80,100.0,-1,2", "2,160,200.0,-1,2"] and len(lines) == 4
+    epoch, steps, seconds, value, term = lines[3].split(",")
+    assert (epoch, steps, value, term) == ("3", "240", "-0.5", "") and 200.0 <= float(seconds) < 260.0
+
+
+def test_resumed_events_hide_what_came_later(tmp_path: Path) -> None:
+    with _log(tmp_path) as log:
+        for epoch in (1, 2, 3):
+            log.epoch(epoch, {"train/return": 1.0})
+    with _log(tmp_path, resumed=1) as log:
+        log.epoch(2, {"train/return": 2.0})
+    assert [(e.step, e.value) for e in _events(tmp_path).Scalars("train/return")] == [(1, 1.0), (2, 2.0)]
+
+
+def test_full_disk_is_one_error(tmp_path: Path) -> None:
+    def fail(*_: Any) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    with pytest.raises(DataError, match=r"cannot write the log \(No space left on device\)"), _log(tmp_path) as log:
+        log._writer.flush = fail  # type: ignore[method-assign]
+        log.epoch(1, {"train/return": 1.0})
+
+
+def test_what_is_not_a_gif_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(DataError, match="not a GIF"), _log(tmp_path) as log:
+        log.epoch(0, {}, gif=b"PNG")
+
+
+def test_plain_lines_come_at_intervals() -> None:
+    console, stream = _console()
+    now = [0.0]
+    progress = TrainingProgress(1000, 0, console, clock=lambda: now[0])
+    progress.success(0.5)
+    for _ in range(4):
+        now[0] += LINE_INTERVAL_S / 2.0
+        progress.advance(150, "epoch 1/2")
+    progress.close()
+    # After 30 s: 300 of 1000 steps, 10 per s, 70 s left; after 60 s: 600 steps, 40 s left.
+    assert stream.getvalue().splitlines() == [
+        "epoch 1/2, 10 steps/s, 0:01:10 left, success 0.500",
+        "epoch 1/2, 10 steps/s, 0:00:40 left, success 0.500",
+    ]
+
+
+def test_time_left_of_a_resumed_run_counts_its_own_steps_only() -> None:
+    console, stream = _console()
+    now = [0.0]
+    progress = TrainingProgress(1000, 500, console, clock=lambda: now[0])
+    now[0] = 50.0
+    progress.advance(100, "epoch 6/10")
+    # 100 steps in 50 s, 400 left.
+    assert stream.getvalue() == "epoch 6/10, 2 steps/s, 0:03:20 left\n"
+
+
+def test_bar_on_a_terminal() -> None:
+    stream = io.StringIO()
+    progress = TrainingProgress(
+        100, 0, Console(file=stream, force_terminal=True, width=120, _environ={"TERM": "xterm"})
+    )
+    progress.advance(50, "epoch 1/2")
+    progress.message("a line [not markup]")
+    progress.close()
+    shown = stream.getvalue()
+    assert "epoch 1/2" in shown and "50.0%" in shown and "a line [not markup]" in shown
+
+
+@pytest.mark.parametrize(
+    ("seconds", "text"), [(0.0, "0:00:00"), (59.9, "0:00:59"), (3723.0, "1:02:03"), (4e5, "111:06:40")]
+)
+def test_format_duration(seconds: float, text: str) -> None:
+    assert format_duration(seconds) == text

@@ -1,0 +1,115 @@
+"""Networks: sizes, initialisation, densities, the numpy face."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+import torch
+from torch import nn
+
+from dgrasp.errors import DataError
+from dgrasp.rl.networks import ActorCritic, gaussian_log_prob, parameter_shapes
+
+
+def _model(seed: int = 0) -> ActorCritic:
+    return ActorCritic(9, 3, [16, 8], 1.0, torch.Generator().manual_seed(seed))
+
+
+def test_weights_are_orthogonal_with_gain_sqrt_two_and_biases_zero() -> None:
+    model = _model()
+    linears = [layer for layer in [*model.actor, *model.critic] if isinstance(layer, nn.Linear)]
+    assert len(linears) == 6
+    for layer in linears:
+        weight = layer.weight.detach()
+        gram = weight @ weight.T if weight.shape[0] <= weight.shape[1] else weight.T @ weight
+        assert torch.allclose(gram, 2.0 * torch.eye(len(gram)), atol=1e-5)
+        assert torch.count_nonzero(layer.bias) == 0
+    assert torch.equal(model.std.detach(), torch.ones(3))
+
+
+def test_activations_are_leaky_rectifiers_between_the_layers_only() -> None:
+    kinds = [type(layer) for layer in _model().actor]
+    assert kinds == [nn.Linear, nn.LeakyReLU, nn.Linear, nn.LeakyReLU, nn.Linear]
+
+
+def test_initialisation_follows_the_generator_alone() -> None:
+    torch.manual_seed(1)
+    before = torch.get_rng_state()
+    first = _model().state_dict()
+    assert torch.equal(before, torch.get_rng_state())
+    torch.manual_seed(2)
+    second, other = _model().state_dict(), _model(seed=5).state_dict()
+    assert all(torch.equal(first[name], second[name]) for name in first)
+    assert not torch.equal(first["actor.0.weight"], other["actor.0.weight"])
+
+
+def test_parameter_shapes_are_those_of_the_model() -> None:
+    model = _model()
+    assert parameter_shapes(model.architecture()) == {n: tuple(p.shape) for n, p in model.state_dict().items()}
+
+
+def test_log_prob_by_hand() -> None:
+    # Two actions, std 1 and 2, one standard deviation off each:
+    # -1/2 - 1/2 - ln 1 - ln 2 - 2/2 ln(2 pi) = -1 - 0.693147 - 1.837877 = -3.531024.
+    got = gaussian_log_prob(torch.tensor([[1.0, -2.0]]), torch.zeros(1, 2), torch.tensor([1.0, 2.0]))
+    assert float(got) == pytest.approx(-3.531024, abs=1e-6)
+
+
+def test_log_prob_and_entropy_agree_with_torch() -> None:
+    model = _model()
+    with torch.no_grad():
+        model.std.copy_(torch.tensor([0.3, 1.0, 2.0]))
+    observation = torch.linspace(-1.0, 1.0, 18).reshape(2, 9)
+    acted = model.act(observation, torch.Generator().manual_seed(3))
+    now = model.evaluate(observation, acted.action)
+    normal = torch.distributions.Normal(now.mean, now.std)
+    assert torch.allclose(now.log_prob, normal.log_prob(acted.action).sum(-1), atol=1e-5)
+    assert torch.allclose(acted.log_prob, now.log_prob, atol=1e-6)
+    assert torch.allclose(now.entropy, normal.entropy().sum(-1)[0], atol=1e-6)
+    assert torch.equal(acted.mean, model.mean_action(observation))
+    assert torch.equal(acted.value, model.value(observation).detach()) and acted.value.shape == (2,)
+
+
+def test_sampled_actions_have_the_standard_deviation() -> None:
+    # 200,000 samples: the standard error of the estimate is std / sqrt(400,000) < 0.2 %.
+    model = _model()
+    with torch.no_grad():
+        model.std.copy_(torch.tensor([0.2, 1.0, 3.0]))
+    acted = model.act(torch.zeros(200_000, 9), torch.Generator().manual_seed(0))
+    assert torch.allclose(acted.action.std(0), model.std.detach(), rtol=0.01)
+    # Biases are zero, so a zero observation has mean zero.
+    assert torch.count_nonzero(acted.mean) == 0
+
+
+def test_std_floor() -> None:
+    model = _model()
+    with torch.no_grad():
+        model.std.copy_(torch.tensor([-1.0, 0.1, 0.5]))
+    model.floor_std(0.2)
+    assert model.std.tolist() == pytest.approx([0.2, 0.2, 0.5])
+
+
+def test_policy_is_the_mean_as_float32_numpy() -> None:
+    model = _model()
+    observation = np.linspace(-1.0, 1.0, 36, dtype=np.float32).reshape(4, 9)
+    observation.flags.writeable = False
+    got = model.policy().act(observation)
+    assert got.dtype == np.float32 and got.shape == (4, 3)
+    assert np.array_equal(got, model.mean_action(torch.tensor(observation)).numpy())
+
+
+@pytest.mark.parametrize("shape", [(9,), (2, 8), (1, 2, 9)])
+def test_policy_refuses_other_observations(shape: tuple[int, ...]) -> None:
+    with pytest.raises(DataError, match=r"\(N, 9\), got"):
+        _model().policy().act(np.zeros(shape, np.float32))
+
+
+def test_policy_shares_the_weights() -> None:
+    model = _model()
+    policy, observation = model.policy(), np.ones((1, 9), np.float32)
+    with torch.no_grad():
+        model.get_parameter("actor.4.bias").add_(math.pi)
+        expected = model.actor(torch.ones(1, 9)).numpy()
+    assert np.array_equal(policy.act(observation), expected)

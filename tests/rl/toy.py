@@ -1,0 +1,103 @@
+"""A toy set of environments: a point on a line per action is to reach a target."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from dgrasp.config import Config, make_config
+from dgrasp.rl.vec_env import Step
+from dgrasp.types import Array
+
+STEP_SIZE = 0.2
+LIMIT = 4.0
+
+
+class ToyEnv:
+    """Observation: offset to the target and position; reward: minus the distance, minus a small price of effort.
+
+    An episode is terminated beyond LIMIT and truncated after `episode_steps`. All arrays are reused from
+    call to call. `on_step(epoch, step)` may break things.
+    """
+
+    reward_terms = ("contact_reward", "effort")
+
+    def __init__(
+        self,
+        num_envs: int = 8,
+        dims: int = 2,
+        episode_steps: int = 7,
+        seed: int = 1,
+        on_step: Callable[[ToyEnv, int, int], None] | None = None,
+    ) -> None:
+        self.num_envs, self.action_size, self.observation_size = num_envs, dims, 2 * dims
+        self.episode_steps, self.seed, self.on_step = episode_steps, seed, on_step
+        self.observation = np.zeros((num_envs, 2 * dims), np.float32)
+        self.final = np.zeros_like(self.observation)
+        self.reward = np.zeros(num_envs, np.float32)
+        self.terms = np.zeros((num_envs, 2), np.float32)
+        self.terminated, self.truncated = np.zeros(num_envs, bool), np.zeros(num_envs, bool)
+        self.events: list[str] = []
+        self.resets: list[int] = []
+
+    def reset(self, epoch: int) -> Array:
+        self.epoch, self.step_count = epoch, 0
+        self.resets.append(epoch)
+        self.rngs = [np.random.default_rng([self.seed, epoch, env]) for env in range(self.num_envs)]
+        self.target, self.position = np.zeros((2, self.num_envs, self.action_size))
+        self.age = np.zeros(self.num_envs, int)
+        self._restart(np.arange(self.num_envs))
+        self._observe(self.observation)
+        return self.observation
+
+    def step(self, actions: Array) -> Step:
+        self.step_count += 1
+        self.position += STEP_SIZE * actions
+        self.age += 1
+        self.terms[:, 0] = -np.abs(self.target - self.position).sum(1)
+        self.terms[:, 1] = -0.01 * np.square(actions).sum(1)
+        self.reward[:] = self.terms.sum(1)
+        self._observe(self.final)
+        self.terminated[:] = np.abs(self.position).max(1) > LIMIT
+        self.truncated[:] = ~self.terminated & (self.age >= self.episode_steps)
+        self._restart(np.flatnonzero(self.terminated | self.truncated))
+        self._observe(self.observation)
+        if self.on_step is not None:
+            self.on_step(self, self.epoch, self.step_count)
+        return Step(self.observation, self.reward, self.terminated, self.truncated, self.final, self.terms)
+
+    def timing(self) -> dict[str, float]:
+        return {"physics_share": 0.5}
+
+    def drain_events(self) -> list[str]:
+        events, self.events = self.events, []
+        return events
+
+    def _restart(self, envs: Array) -> None:
+        for env in envs:
+            self.target[env] = self.rngs[env].uniform(-1.0, 1.0, self.action_size)
+            self.position[env] = 0.0
+            self.age[env] = 0
+
+    def _observe(self, out: Array) -> None:
+        np.concatenate([self.target - self.position, self.position], axis=1, out=out, casting="same_kind")
+
+
+def toy_config(**ppo: Any) -> Config:
+    """A small experiment: 10 steps an epoch, so that the episodes of 7 steps end within it."""
+    every = ppo.pop("every", 1)
+    keep = ppo.pop("keep", 100)
+    eval_every = ppo.pop("eval_every", 2)
+    steps = ppo.pop("steps", 10)
+    return make_config(
+        {
+            "seed": ppo.pop("seed", 1),
+            "device": "cpu",
+            "env": {"episode_steps": steps, "grasp_steps": 1},
+            "checkpoint": {"every": every, "keep": keep},
+            "eval": {"every": eval_every},
+            "ppo": {"epochs": 4, "hidden": [16, 16], "update_epochs": 2, "minibatches": 2, **ppo},
+        }
+    )
