@@ -127,7 +127,6 @@ class PoolConfig(_Section):
 
     kind: Literal["process", "serial"] = "process"
     workers: Count | None = None
-    envs: Count | None = None
 
 
 class CheckpointConfig(_Section):

@@ -19,7 +19,7 @@ from dgrasp.hand.model import HandModel
 from dgrasp.hand.skeleton import N_DOF
 from dgrasp.objects.model import ObjectModel
 from dgrasp.scene.scene import LOWERED_TOP, TABLE_TOP, Scene
-from dgrasp.types import Array, GraspLabel, SceneState, StartPose
+from dgrasp.types import Array, GraspLabel, StartPose
 from raisim_like.rotations import matrix_from_euler, matrix_from_quaternion
 from raisim_like.world import integrate
 
@@ -59,7 +59,7 @@ class StepArrays:
 class GraspEnv:
     """N environments, one label each, stepped together.
 
-    `first_index` is the place of the first label in the whole set: it seeds the environment, so that an
+    `indices` are the places of the labels in the whole set: they seed the environments, so that an
     environment's noise does not depend on how the set is divided over processes.
     """
 
@@ -67,9 +67,7 @@ class GraspEnv:
     hand: HandModel
     objects: Mapping[str, ObjectModel]
     config: Config
-    first_index: int = 0
-    state: SceneState | None = None
-    out: StepArrays | None = None
+    indices: Sequence[int] = ()
     make_scene: Callable[..., Scene] = Scene
     events: list[str] = field(default_factory=list)
 
@@ -81,8 +79,9 @@ class GraspEnv:
         self.observation_size = self.layer.size
         self.reward = Reward(env.reward)
         self.reward_terms = self.reward.names
-        self.s = state_views(n) if self.state is None else self.state
-        self.o = StepArrays.allocate(n, self.layer.size, len(self.reward.names)) if self.out is None else self.out
+        self.indices = self.indices or range(n)
+        self.s = state_views(n)
+        self.o = StepArrays.allocate(n, self.layer.size, len(self.reward.names))
         self.goal = make_goal(self.labels)
         self.starts = [start_pose(label, self.objects[label.object_id]) for label in self.labels]
         self.scenes = [self._new_scene(i) for i in range(n)]
@@ -116,9 +115,7 @@ class GraspEnv:
         """Start all episodes; the noise depends on (config.seed, epoch, environment). Returns (N, O)."""
         env = self.config.env
         self.mode = mode
-        self._rng = [
-            np.random.default_rng([self.config.seed, epoch, self.first_index + i]) for i in range(self.num_envs)
-        ]
+        self._rng = [np.random.default_rng([self.config.seed, epoch, index]) for index in self.indices]
         self.control = LabelPose(env.action) if mode == "label" else GRASP_CONTROLLERS[env.wrist](env.action)
         for i in range(self.num_envs):
             if not self.alive[i]:
@@ -244,7 +241,7 @@ class GraspEnv:
         for i in ids:
             label = self.labels[i]
             self.events.append(
-                f"unstable simulation ended an episode: env {self.first_index + i}, label {label.name}, "
+                f"unstable simulation ended an episode: env {self.indices[i]}, label {label.name}, "
                 f"step {int(self.clock[i])}"
             )
             self._rebuild(i)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import fields
-
 import numpy as np
 
 from dgrasp.hand.skeleton import N_DOF, N_KEYPOINTS, N_PARTS
@@ -44,6 +42,8 @@ def state_views(n: int, buffer: Array | None = None) -> SceneState:
     return SceneState(**views)
 
 
-def slice_state(state: SceneState, rows: slice) -> SceneState:
-    """The views of some environments."""
-    return SceneState(**{f.name: getattr(state, f.name)[rows] for f in fields(state)})
+
+def copy_state(source: SceneState, target: SceneState, rows: slice) -> None:
+    """Writes a state of some environments into their rows of a larger one."""
+    for name in _SHAPES:
+        getattr(target, name)[rows] = getattr(source, name)

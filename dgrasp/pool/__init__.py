@@ -1,0 +1,26 @@
+"""Where environments run. `serial` is the reference; `process` is held equal to it, to the bit."""
+
+from __future__ import annotations
+
+import os
+
+from dgrasp.pool.base import Pool, PoolSpec
+
+
+def cores() -> int:
+    """Cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def make_pool(spec: PoolSpec) -> Pool:
+    """The pool that the config asks for; `workers: null` takes one worker per core."""
+    if spec.config.pool.kind == "serial":
+        from dgrasp.pool.serial import SerialPool
+
+        return SerialPool(spec)
+    from dgrasp.pool.process import ProcessPool
+
+    return ProcessPool(spec, spec.config.pool.workers or cores())
+
+
+__all__ = ["Pool", "PoolSpec", "cores", "make_pool"]

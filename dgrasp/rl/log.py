@@ -14,12 +14,11 @@ from types import TracebackType
 from typing import Any
 
 from rich.console import Console
-from tensorboard.compat.proto.summary_pb2 import Summary
-from torch.utils.tensorboard import SummaryWriter
 
 from dgrasp.config import Config, dump_config
 from dgrasp.errors import DataError
 from dgrasp.rl.checkpoint import atomic_write_bytes
+from dgrasp.rl.events import EventFile
 from dgrasp.rl.ppo import STATISTICS
 from dgrasp.rl.progress import TrainingProgress
 
@@ -29,8 +28,6 @@ SUCCESS, CONTACT_RATIO = "eval/success", "eval/contact_ratio"
 STEPS_PER_SECOND, PHYSICS_SHARE, UPDATE_SHARE = "speed/steps_per_second", "speed/physics_share", "speed/update_share"
 _FIXED_COLUMNS = ("epoch", "control_steps", "seconds")
 _EVENTS_SHOWN = 3
-# The log flushes after every epoch itself; a flush by the writer's own thread could not report a full disk.
-_NEVER_S = 10**6
 
 
 class Log:
@@ -61,13 +58,11 @@ class Log:
             self._columns = list(rows[0]) if rows else columns
             self._seconds_before = float(rows[-1]["seconds"]) if rows else 0.0
             atomic_write_bytes(self._csv, _csv_text(self._columns, rows, header=True).encode())
-            # TensorBoard hides what an earlier writer in this directory logged from purge_step on.
-            purge_step = resumed_epoch + 1 if resumed_epoch else 0
-            self._writer = SummaryWriter(str(run_dir), purge_step=purge_step, flush_secs=_NEVER_S)
-            self._writer.add_custom_scalars(_layout(reward_terms))
-            self._writer.add_text("config", _indented(dump_config(config)), resumed_epoch)
-            self._writer.add_text("data", _indented(json.dumps(data_stamp, indent=2)), resumed_epoch)
-            self._writer.flush()
+            self._events = EventFile(run_dir, purge_step=resumed_epoch + 1 if resumed_epoch else 0)
+            self._events.layout(_layout(reward_terms))
+            self._events.text("config", dump_config(config), resumed_epoch)
+            self._events.text("data", json.dumps(data_stamp, indent=2), resumed_epoch)
+            self._events.flush()
         self._start = time.monotonic()
         self._progress = TrainingProgress(
             self._epochs * steps_per_epoch, resumed_epoch * steps_per_epoch, console=console
@@ -82,11 +77,11 @@ class Log:
         self._progress.close()
         if kind is None:
             with self._writing():
-                self._writer.close()
+                self._events.close()
         else:
             # The first failure is the one to tell.
             with contextlib.suppress(OSError):
-                self._writer.close()
+                self._events.close()
 
     def step(self, epoch: int, steps: int) -> None:
         """Count control steps in the display."""
@@ -101,7 +96,7 @@ class Log:
         if not events:
             return
         with self._writing():
-            self._writer.add_text("events", _indented("\n".join(events)), epoch)
+            self._events.text("events", "\n".join(events), epoch)
         for event in events[:_EVENTS_SHOWN]:
             self.message(f"epoch {epoch}: {event}")
         if len(events) > _EVENTS_SHOWN:
@@ -114,7 +109,7 @@ class Log:
         """
         with self._writing():
             for tag, value in values.items():
-                self._writer.add_scalar(tag, value, epoch)
+                self._events.scalar(tag, value, epoch)
             if gif is not None:
                 self._add_gif(gif, epoch)
             row = {_column(tag): f"{value:.8g}" for tag, value in values.items()}
@@ -122,7 +117,7 @@ class Log:
             row["seconds"] = f"{self._seconds_before + time.monotonic() - self._start:.1f}"
             with open(self._csv, "a", encoding="utf-8", newline="") as stream:
                 stream.write(_csv_text(self._columns, [row], header=False))
-            self._writer.flush()
+            self._events.flush()
         if SUCCESS in values:
             self._progress.success(values[SUCCESS])
             known = {"success": SUCCESS, "contact ratio": CONTACT_RATIO, "return": RETURN}
@@ -130,13 +125,10 @@ class Log:
             self.message(f"epoch {epoch}/{self._epochs}: {text}")
 
     def _add_gif(self, gif: bytes, epoch: int) -> None:
-        """`add_video` would need another package to encode frames; encoded bytes go in as they are."""
         if gif[:4] != b"GIF8":
             raise DataError(f"the evaluation of epoch {epoch} returned a 'gif' that is not a GIF")
         width, height = (int.from_bytes(gif[at : at + 2], "little") for at in (6, 8))
-        image = Summary.Image(height=height, width=width, colorspace=3, encoded_image_string=gif)
-        summary = Summary(value=[Summary.Value(tag="eval/episode", image=image)])
-        self._writer._get_file_writer().add_summary(summary, epoch)
+        self._events.image("eval/episode", gif, height, width, epoch)
 
     @contextlib.contextmanager
     def _writing(self) -> Iterator[None]:
@@ -189,8 +181,3 @@ def _csv_text(columns: Sequence[str], rows: Sequence[Mapping[str, str]], header:
         writer.writeheader()
     writer.writerows(rows)
     return stream.getvalue()
-
-
-def _indented(text: str) -> str:
-    """Text as a Markdown code block, which TensorBoard renders as it is."""
-    return "\n".join(f"    {line}" for line in text.splitlines())

@@ -116,7 +116,7 @@ class Ppo:
         loss = surrogate + config.value_coefficient * of_value - config.entropy_coefficient * now.entropy
 
         self.optimizer.zero_grad()
-        loss.backward()  # type: ignore[no-untyped-call]
+        loss.backward()
         grad_norm = nn.utils.clip_grad_norm_(self.model.parameters(), config.max_grad_norm).item()
         if not math.isfinite(grad_norm):
             raise DataError(

@@ -151,7 +151,6 @@ def integrate_worlds(worlds: Sequence[BulletWorld], substeps: int) -> None:
     # Both are symmetric, so G = Mb Mh^-1 is the transpose of Mh^-1 Mb.
     G = np.swapaxes(np.linalg.solve(Mh, Mb), -1, -2)
     clock = time.perf_counter
-    zero = range(dof)
     for _ in range(substeps):
         tau = np.matmul(G, (kp * (target - q) + forward + h - D * v)[..., None])[..., 0] - h
         before = v.copy()
@@ -163,11 +162,11 @@ def integrate_worlds(worlds: Sequence[BulletWorld], substeps: int) -> None:
             start = clock()
             p.stepSimulation(physicsClientId=system.client)
             world.step_seconds += clock() - start
-            states = p.getJointStatesMultiDof(system.uid, system.indices, physicsClientId=system.client)
-            q[i] = [s[0][0] for s in states]
-            v[i] = [s[1][0] for s in states]
+            states = p.getJointStates(system.uid, system.indices, physicsClientId=system.client)
+            v[i] = [state[1] for state in states]
+        # Bullet moves one-dof joints by exactly this, so the positions need not be read.
+        q += dt * v
         h += OBSERVER_GAIN * (np.matmul(Mb, ((v - before) / dt)[..., None])[..., 0] - tau - h)
-    del zero
     for i, system in enumerate(systems):
         system.q[:], system.v[:], system.h[:] = q[i], v[i], h[i]
 

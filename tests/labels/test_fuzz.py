@@ -21,8 +21,17 @@ from dgrasp.labels.native import read_native, write_native
 from dgrasp.labels.official import read_official
 from dgrasp.labels.source import load_labels
 from dgrasp.types import GraspLabel
-from tests.labels.files import WRAPPER, array_opcodes, dexycb_content, dtype_opcodes, dump, make_labels, opcodes
-from tests.labels.files import static_content, text
+from tests.labels.files import (
+    WRAPPER,
+    array_opcodes,
+    dexycb_content,
+    dtype_opcodes,
+    dump,
+    make_labels,
+    opcodes,
+    static_content,
+    text,
+)
 
 pytestmark = pytest.mark.filterwarnings("error")
 
@@ -58,11 +67,14 @@ def mutate(raw: bytes, rng: np.random.Generator) -> bytes:
 
 def outcome(read: Callable[[Path], list[GraspLabel]], path: Path) -> bool:
     """Whether the file was refused; labels that were read must be sound. Anything but a `DataError` fails."""
+    labels, message = None, ""
     try:
         labels = read(path)
     except DataError as error:
-        assert str(path) in str(error)
-        assert len(str(error)) < 2000
+        message = str(error)
+    if labels is None:
+        assert str(path) in message
+        assert len(message) < 2000
         return True
     for label in labels:
         for values in (label.hand_pose, label.T_WH, label.T_WO, label.joints_W):
@@ -153,8 +165,9 @@ def hostile_streams(command: str, code: str) -> Iterator[tuple[str, bytes]]:
     yield "in an array's header", head + array_opcodes(np.zeros(3), False, before=text("shape") + system) + b"."
     yield "as an array's dtype", head + _global("numpy", "dtype") + system + b"\x85R."
     yield "as an array's class", head + WRAPPER + b"}(" + text("subclass") + _global("os", "system") + b"ub."
-    yield "in a scalar", head + _global("numpy.core.multiarray", "scalar") + dtype_opcodes(np.dtype("i8")) + system + b"\x86R."
-    yield "as a dtype's state", head + _global("numpy", "dtype") + b"(" + text("f8") + b"\x89\x88tR(K\x03" + system + b"tb."
+    scalar, dtype = _global("numpy.core.multiarray", "scalar"), _global("numpy", "dtype")
+    yield "in a scalar", head + scalar + dtype_opcodes(np.dtype("i8")) + system + b"\x86R."
+    yield "as a dtype's state", head + dtype + b"(" + text("f8") + b"\x89\x88tR(K\x03" + system + b"tb."
     yield "INST", head + b"(" + text(command) + b"ios\nsystem\n."
     yield "OBJ", head + b"(" + _global("os", "system") + text(command) + b"o."
     yield "NEWOBJ_EX", b"\x80\x04" + _global("os", "system") + text(command) + b"\x85}\x92."
@@ -186,7 +199,7 @@ def test_nothing_is_executed(tmp_path: Path, in_extension_registry: None, monkey
     for name, raw in streams:
         path.write_bytes(raw)
         for read in (read_official, load_labels):
-            with pytest.raises(DataError, match="a.pkl"):
+            with pytest.raises(DataError, match=r"a\.pkl"):
                 read(path)
         assert not marker.exists(), name
         assert not called, name

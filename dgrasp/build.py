@@ -1,0 +1,33 @@
+"""From a config to what runs: data, hand, objects, pool."""
+
+from __future__ import annotations
+
+from dgrasp.config import Config
+from dgrasp.data import DataChoice
+from dgrasp.hand.model import HandModel, load_hand
+from dgrasp.objects.free import free_object
+from dgrasp.objects.model import ObjectModel
+from dgrasp.objects.release import release_object
+from dgrasp.pool import Pool, PoolSpec, make_pool
+
+
+def build_objects(choice: DataChoice, config: Config) -> dict[str, ObjectModel]:
+    """The physics models of the objects that the chosen labels need."""
+    physics = config.physics
+    if choice.kind == "free":
+        return {n: free_object(n, physics.masses, physics.official_compat) for n in choice.labels.objects}
+    return {
+        n: release_object(choice.objects_dir, n, physics.masses, physics.official_compat)
+        for n in choice.labels.objects
+    }
+
+
+def build_hand(choice: DataChoice) -> HandModel:
+    """The chosen hand."""
+    return load_hand(choice.hand_urdf, choice.hand)
+
+
+def build_pool(choice: DataChoice, config: Config) -> Pool:
+    """One environment per chosen label, in the pool that the config names."""
+    spec = PoolSpec(choice.labels.labels, build_hand(choice), build_objects(choice, config), config)
+    return make_pool(spec)

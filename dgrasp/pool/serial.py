@@ -1,0 +1,44 @@
+"""All environments in this process: the reference that the process pool is held equal to."""
+
+from __future__ import annotations
+
+import time
+
+from dgrasp.env.grasp_env import GraspEnv, Mode
+from dgrasp.pool.base import PoolSpec
+from dgrasp.rl.vec_env import Step
+from dgrasp.types import Array
+
+
+class SerialPool:
+    """See `Pool`."""
+
+    def __init__(self, spec: PoolSpec) -> None:
+        self.env = GraspEnv(spec.labels, spec.hand, spec.objects, spec.config)
+        self.labels, self.state = spec.labels, self.env.s
+        self.num_envs, self.action_size = self.env.num_envs, self.env.action_size
+        self.observation_size, self.reward_terms = self.env.observation_size, self.env.reward_terms
+        self._start = (time.perf_counter(), 0.0)
+
+    def reset(self, epoch: int = 0, mode: Mode = "train") -> Array:
+        self._start = (time.perf_counter(), self.env.step_seconds)
+        return self.env.reset(epoch, mode)
+
+    def step(self, actions: Array) -> Step:
+        o = self.env.step(actions)
+        return Step(o.observation, o.reward, o.terminated, o.truncated, o.final_observation, o.reward_terms)
+
+    def remove_table(self) -> None:
+        self.env.remove_table()
+
+    def timing(self) -> dict[str, float]:
+        wall = time.perf_counter() - self._start[0]
+        physics = self.env.step_seconds - self._start[1]
+        return {"physics_share": physics / max(wall, 1e-9), "physics_s": physics, "wall_s": wall, "workers": 1.0}
+
+    def drain_events(self) -> list[str]:
+        events, self.env.events = self.env.events, []
+        return events
+
+    def close(self) -> None:
+        self.env.close()

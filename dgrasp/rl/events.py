@@ -1,0 +1,59 @@
+"""A TensorBoard event file, written in the calling thread.
+
+`SummaryWriter` writes from a thread of its own, which can neither report a full disk to its caller nor live
+through a fork.
+"""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import Any
+
+from tensorboard.compat.proto.event_pb2 import Event, SessionLog
+from tensorboard.compat.proto.summary_pb2 import Summary
+from tensorboard.summary.writer.record_writer import RecordWriter
+from torch.utils.tensorboard.summary import custom_scalars, scalar, text
+
+
+class EventFile:
+    """A new event file in a run directory. All methods raise OSError where the disk does not take it.
+
+    purge_step: TensorBoard then hides what earlier files of the directory hold from this step on.
+    """
+
+    def __init__(self, run_dir: Path, purge_step: int) -> None:
+        # TensorBoard reads the files of a directory in the order of their names.
+        self._stream = open(run_dir / f"events.out.tfevents.{time.time_ns()}", "wb")  # noqa: SIM115
+        self._records = RecordWriter(self._stream)
+        self._write(file_version="brain.Event:2", step=purge_step)
+        self._write(session_log=SessionLog(status=SessionLog.START), step=purge_step)
+
+    def scalar(self, tag: str, value: float, step: int) -> None:
+        """Add a number."""
+        self._write(summary=scalar(tag, value), step=step)
+
+    def text(self, tag: str, content: str, step: int) -> None:
+        """Add text, shown as it is."""
+        code_block = "\n".join(f"    {line}" for line in content.splitlines())
+        self._write(summary=text(tag, code_block), step=step)
+
+    def image(self, tag: str, encoded: bytes, height: int, width: int, step: int) -> None:
+        """Add an encoded image, such as the bytes of a GIF, as it is."""
+        image = Summary.Image(height=height, width=width, colorspace=3, encoded_image_string=encoded)
+        self._write(summary=Summary(value=[Summary.Value(tag=tag, image=image)]), step=step)
+
+    def layout(self, layout: dict[str, dict[str, list[Any]]]) -> None:
+        """Set the page of custom scalars: {category: {chart: ["Multiline", [tag, ...]]}}."""
+        self._write(summary=custom_scalars(layout))
+
+    def flush(self) -> None:
+        """Hand everything to the operating system."""
+        self._stream.flush()
+
+    def close(self) -> None:
+        """Flush and close."""
+        self._stream.close()
+
+    def _write(self, **content: Any) -> None:
+        self._records.write(Event(wall_time=time.time(), **content).SerializeToString())
