@@ -41,9 +41,11 @@ class UrdfLink:
     shapes: tuple[Shape, ...]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class UrdfModel:
     """An articulated system: one moving link per degree of freedom, depth first in the file's order.
+
+    Two models are equal when they are the same object.
 
     frames: name of every original link -> (moving link index, -1 for the base; (4, 4) its pose there).
     """
@@ -102,7 +104,7 @@ class _Reader:
             raise UrdfError(f"{path}: a URDF has no document type or entities; refused")
         # A declared XML version other than 1.0 is a common slip in RaiSim's files, and harmless.
         if text.lstrip().startswith("<?xml"):
-            text = text[text.index("?>") + 2 :]
+            text = text.partition("?>")[2]
         try:
             self.root = ElementTree.fromstring(text)
         except ElementTree.ParseError as error:
@@ -244,6 +246,8 @@ def read_urdf(path: Path | str) -> UrdfModel:
         if lower > upper:
             raise reader.fail(where, f"lower limit {lower} above upper limit {upper}")
         damping = 0.0 if dynamics is None else reader.numbers(dynamics.get("damping", "0"), 1, f"{where} damping")[0]
+        if damping < 0:
+            raise reader.fail(where, f"negative damping {damping}")
         moving.append(
             {
                 "name": str(child),
@@ -261,7 +265,10 @@ def read_urdf(path: Path | str) -> UrdfModel:
         )
         attach(str(child), len(moving) - 1, np.eye(4))
 
-    attach(roots[0], -1, np.eye(4))
+    try:
+        attach(roots[0], -1, np.eye(4))
+    except RecursionError:
+        raise reader.fail("robot", "links are nested too deeply") from None
     if len(frames) != len(links):
         raise reader.fail("robot", f"links not connected to {roots[0]!r}: {sorted(set(links) - set(frames))}")
     built = []

@@ -166,6 +166,7 @@ class BulletWorld:
         p.removeBody(body, physicsClientId=self.client)
         self.bodies.pop(body, None)
         self.systems.pop(body, None)
+        self._system_material.pop(body, None)
 
     def apply_materials(self, table: MaterialTable) -> None:
         materials = {uid: body.material for uid, body in self.bodies.items()} | self._system_material
@@ -291,12 +292,16 @@ class BulletWorld:
 
     def contacts(self, body: int) -> list[Contact]:
         found = []
-        for c in p.getContactPoints(body, physicsClientId=self.client):
+        # Asked for one body, Bullet turns pairs round but leaves friction's direction as it was; so ask for all.
+        for c in p.getContactPoints(physicsClientId=self.client):
+            if body not in (c[1], c[2]):
+                continue
+            a, b, on_b, sign = (0, 1, c[6], 1.0) if c[1] == body else (1, 0, c[5], -1.0)
             tangential = np.array(c[11]) * c[10] + np.array(c[13]) * c[12]
             found.append(
                 Contact(
-                    c[1], c[2], c[3], c[4], np.array(c[6]), np.array(c[7]), -c[8],
-                    c[9] * self.timestep, tangential * self.timestep,
+                    c[1 + a], c[1 + b], c[3 + a], c[3 + b], np.array(on_b), sign * np.array(c[7]), -c[8],
+                    c[9] * self.timestep, sign * tangential * self.timestep,
                 )
             )  # fmt: skip
         return found

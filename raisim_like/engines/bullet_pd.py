@@ -19,6 +19,7 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
+from weakref import WeakKeyDictionary
 
 import numpy as np
 import pybullet as p
@@ -82,13 +83,13 @@ class _Axes:
         return np.matmul(a, np.swapaxes(a, -1, -2)) * self.common
 
 
-_AXES: dict[int, _Axes] = {}
+_AXES: WeakKeyDictionary[UrdfModel, _Axes] = WeakKeyDictionary()
 
 
 def _axes_of(model: UrdfModel) -> _Axes:
-    if id(model) not in _AXES:
-        _AXES[id(model)] = _Axes(model)
-    return _AXES[id(model)]
+    if model not in _AXES:
+        _AXES[model] = _Axes(model)
+    return _AXES[model]
 
 
 class ImplicitPd:
@@ -123,58 +124,71 @@ class ImplicitPd:
         self.q[:], self.v[:] = gc, gv
 
 
+class _Batch:
+    """Systems of one model, controlled together for one control step."""
+
+    def __init__(self, systems: Sequence[ImplicitPd]) -> None:
+        self.systems, first = systems, systems[0]
+        self.dt = dt = first.dt
+        self.q = np.array([s.q for s in systems])
+        self.v = np.array([s.v for s in systems])
+        self.h = np.array([s.h for s in systems])
+        self.kp = np.array([s.kp for s in systems])
+        self.target = np.array([s.target for s in systems])
+        self.forward = np.array([s.feed_forward for s in systems])
+        self.D = np.array([s.kd + s.damping + dt * s.kp for s in systems])
+        self.tau = np.zeros_like(self.q)
+        self.Mb = np.array([p.calculateMassMatrix(s.uid, s.q.tolist(), physicsClientId=s.client) for s in systems])
+        Mh = self.Mb - first.axes.added_inertia(self.q)
+        Mh[:, range(first.dof), range(first.dof)] += dt * self.D
+        # Both are symmetric, so G = Mb Mh^-1 is the transpose of Mh^-1 Mb.
+        self.G = np.swapaxes(np.linalg.solve(Mh, self.Mb), -1, -2)
+
+    def push(self) -> None:
+        """The torques of the next substep."""
+        wanted = self.kp * (self.target - self.q) + self.forward + self.h - self.D * self.v
+        self.tau = np.matmul(self.G, wanted[..., None])[..., 0] - self.h
+        for s, tau in zip(self.systems, self.tau, strict=True):
+            p.setJointMotorControlArray(
+                s.uid, s.indices, p.TORQUE_CONTROL, forces=tau.tolist(), physicsClientId=s.client
+            )
+
+    def pull(self) -> None:
+        """What the substep did, and what the observer learns from it."""
+        before = self.v
+        self.v = np.array(
+            [
+                [state[1] for state in p.getJointStates(s.uid, s.indices, physicsClientId=s.client)]
+                for s in self.systems
+            ]
+        )
+        # Bullet moves one-dof joints by exactly this, so the positions need not be read.
+        self.q += self.dt * self.v
+        accelerations = ((self.v - before) / self.dt)[..., None]
+        self.h += OBSERVER_GAIN * (np.matmul(self.Mb, accelerations)[..., 0] - self.tau - self.h)
+
+    def store(self) -> None:
+        """Gives the systems their new state."""
+        for i, s in enumerate(self.systems):
+            s.q[:], s.v[:], s.h[:] = self.q[i], self.v[i], self.h[i]
+
+
 def integrate_worlds(worlds: Sequence[BulletWorld], substeps: int) -> None:
     """Advance worlds together: the linear algebra of their controllers is batched, the steps are not."""
-    pairs = [(world, system) for world in worlds for system in world.systems.values()]
-    if any(len(world.systems) != 1 for world in worlds):
-        _integrate_plain(worlds, substeps)
-        return
-    if not pairs:
-        return
-    systems = [system for _, system in pairs]
-    dt, dof = systems[0].dt, systems[0].dof
-    if any(s.model is not systems[0].model or s.dt != dt for s in systems):
-        for world in worlds:
-            integrate_worlds([world], substeps)
-        return
-    count = len(systems)
-    q = np.array([s.q for s in systems])
-    v = np.array([s.v for s in systems])
-    h = np.array([s.h for s in systems])
-    kp = np.array([s.kp for s in systems])
-    target = np.array([s.target for s in systems])
-    forward = np.array([s.feed_forward for s in systems])
-    D = np.array([s.kd + s.damping + dt * s.kp for s in systems])
-    Mb = np.array([p.calculateMassMatrix(s.uid, s.q.tolist(), physicsClientId=s.client) for s in systems])
-    Mh = Mb - systems[0].axes.added_inertia(q)
-    Mh[:, range(dof), range(dof)] += dt * D
-    # Both are symmetric, so G = Mb Mh^-1 is the transpose of Mh^-1 Mb.
-    G = np.swapaxes(np.linalg.solve(Mh, Mb), -1, -2)
+    groups: dict[tuple[int, float], list[ImplicitPd]] = {}
+    for world in worlds:
+        for system in world.systems.values():
+            groups.setdefault((id(system.model), system.dt), []).append(system)
+    batches = [_Batch(group) for group in groups.values()]
     clock = time.perf_counter
     for _ in range(substeps):
-        tau = np.matmul(G, (kp * (target - q) + forward + h - D * v)[..., None])[..., 0] - h
-        before = v.copy()
-        for i in range(count):
-            world, system = pairs[i]
-            p.setJointMotorControlArray(
-                system.uid, system.indices, p.TORQUE_CONTROL, forces=tau[i].tolist(), physicsClientId=system.client
-            )
+        for batch in batches:
+            batch.push()
+        for world in worlds:
             start = clock()
-            p.stepSimulation(physicsClientId=system.client)
-            world.step_seconds += clock() - start
-            states = p.getJointStates(system.uid, system.indices, physicsClientId=system.client)
-            v[i] = [state[1] for state in states]
-        # Bullet moves one-dof joints by exactly this, so the positions need not be read.
-        q += dt * v
-        h += OBSERVER_GAIN * (np.matmul(Mb, ((v - before) / dt)[..., None])[..., 0] - tau - h)
-    for i, system in enumerate(systems):
-        system.q[:], system.v[:], system.h[:] = q[i], v[i], h[i]
-
-
-def _integrate_plain(worlds: Sequence[BulletWorld], substeps: int) -> None:
-    """Worlds without an articulated system, or with several: one after the other."""
-    for world in worlds:
-        for _ in range(substeps):
-            start = time.perf_counter()
             p.stepSimulation(physicsClientId=world.client)
-            world.step_seconds += time.perf_counter() - start
+            world.step_seconds += clock() - start
+        for batch in batches:
+            batch.pull()
+    for batch in batches:
+        batch.store()

@@ -1,0 +1,86 @@
+"""The command line: `dgrasp train`, `dgrasp test`; train.py and test.py are the same by another name."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from typing import Any
+
+from dgrasp import __version__
+from dgrasp.errors import DGraspError
+
+EXIT_BAD_INPUT, EXIT_INTERRUPTED = 2, 130
+COMMANDS = ("train", "test", "demo")
+
+
+_USAGE = """\
+usage: dgrasp COMMAND ...      (dgrasp COMMAND --help teaches a command)
+
+Dynamic grasps from static grasp labels, on open physics (D-Grasp, CVPR 2022).
+
+commands:
+  train    train a grasping policy
+  test     evaluate a policy or a baseline
+  demo     train briefly on the free set and show what happens
+"""
+
+
+def _command(name: str) -> Any:
+    """The module of a subcommand: `HELP`, `add_arguments` and `main`."""
+    if name == "train":
+        from dgrasp import train
+
+        return train
+    if name == "test":
+        from dgrasp import test
+
+        return test
+    from dgrasp import demo
+
+    return demo
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run a command; wrong use and bad input give one message on stderr and exit code 2."""
+    if sys.version_info[:2] not in ((3, 10), (3, 11)):
+        found = ".".join(map(str, sys.version_info[:2]))
+        print(f"dgrasp needs Python 3.10 or 3.11 (PyBullet has wheels for no other); this is {found}", file=sys.stderr)
+        return EXIT_BAD_INPUT
+    words = list(sys.argv[1:] if arguments is None else arguments)
+    if not words or words[0] in ("-h", "--help"):
+        print(_USAGE, end="", file=sys.stdout if words else sys.stderr)
+        return 0 if words else EXIT_BAD_INPUT
+    if words[0] == "--version":
+        print(f"dgrasp {__version__}")
+        return 0
+    if words[0] not in COMMANDS:
+        print(f"error: unknown command {words[0]!r}; expected one of {', '.join(COMMANDS)}", file=sys.stderr)
+        return EXIT_BAD_INPUT
+    return run_command(words[0], words[1:], prog=f"dgrasp {words[0]}")
+
+
+def run_command(name: str, arguments: Sequence[str], prog: str | None = None) -> int:
+    """One command with its arguments; train.py and test.py call this."""
+    from dgrasp.rl.runner import Interrupted
+
+    module = _command(name)
+    parser = argparse.ArgumentParser(
+        prog=prog, description=module.HELP, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    module.add_arguments(parser)
+    try:
+        return int(module.main(parser.parse_intermixed_args(arguments)))
+    except DGraspError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return EXIT_BAD_INPUT
+    except Interrupted as stop:
+        print(str(stop), file=sys.stderr)
+        return EXIT_INTERRUPTED
+    except KeyboardInterrupt:
+        print("interrupted", file=sys.stderr)
+        return EXIT_INTERRUPTED
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,98 @@
+"""Run a method on every label of a pool and record what happened."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+import numpy as np
+
+from dgrasp.config import Config
+from dgrasp.eval.method import Method
+from dgrasp.pool import Pool
+from dgrasp.types import Array, EpisodeRecord
+from raisim_like.rotations import transform
+
+Progress = Callable[[int, int], None]
+"""Called with (steps done, steps in all)."""
+
+UNSTABLE = "unstable simulation"
+
+
+class _Recorder:
+    """Arrays [T, N, ...] of an evaluation; `records` cuts them into episodes."""
+
+    def __init__(self, pool: Pool, steps: int) -> None:
+        n = pool.num_envs
+        self.pool, self.steps, self.t = pool, steps, 0
+        self.gc = np.zeros((steps, n, 51))
+        self.T_WH = np.zeros((steps, n, 4, 4))
+        self.T_WO = np.zeros((steps, n, 4, 4))
+        self.joints_W = np.zeros((steps, n, 21, 3))
+        self.contacts = np.zeros((steps, n, 16))
+        self.contact_impulse = np.zeros((steps, n, 16))
+        self.table_contact = np.zeros((steps, n), bool)
+        self.reward = np.zeros((steps, n))
+        self.length = np.full(n, steps)
+
+    def write(self, reward: Array, terminated: Array) -> None:
+        t, s = self.t, self.pool.state
+        self.gc[t], self.joints_W[t] = s.gc, s.joints_W
+        self.T_WH[t] = transform(s.R_WH, s.joints_W[:, 0])
+        self.T_WO[t] = transform(s.R_WO, s.object_pos_W)
+        self.contacts[t], self.contact_impulse[t] = s.contacts, s.contact_impulse
+        self.table_contact[t], self.reward[t] = s.table_contact > 0, reward
+        # The step that broke an episode shows a restarted world, not what happened: it is left out.
+        self.length = np.where(terminated & (self.length == self.steps), t, self.length)
+        self.t += 1
+
+    def records(self, window_start: int, dt: float) -> list[EpisodeRecord]:
+        made = []
+        for i, label in enumerate(self.pool.labels):
+            cut = slice(0, int(self.length[i]))
+            made.append(
+                EpisodeRecord(
+                    label=label,
+                    gc=self.gc[cut, i],
+                    T_WH=self.T_WH[cut, i],
+                    joints_W=self.joints_W[cut, i],
+                    T_WO=self.T_WO[cut, i],
+                    contacts=self.contacts[cut, i],
+                    contact_impulse=self.contact_impulse[cut, i],
+                    table_contact=self.table_contact[cut, i],
+                    reward=self.reward[cut, i],
+                    window_start=window_start,
+                    dt=dt,
+                    terminated="" if self.length[i] == self.steps else UNSTABLE,
+                )
+            )
+        return made
+
+
+def evaluate(
+    pool: Pool, method: Method, config: Config, window_s: float, progress: Progress | None = None
+) -> tuple[list[EpisodeRecord], dict[str, float]]:
+    """Records of one deterministic episode per label, and the cost (control_steps, wall_s, physics_share).
+
+    A policy grasps for `env.grasp_steps`, then the table goes and the window of `window_s` seconds begins
+    (supplement B.3). A baseline that starts in the label's pose begins with the window.
+    """
+    started = time.perf_counter()
+    grasp = 0 if method.mode == "label" else config.env.grasp_steps
+    steps = grasp + max(1, round(window_s / config.control_period))
+    recorder = _Recorder(pool, steps)
+    observation = pool.reset(0, method.mode)
+    for t in range(steps):
+        if grasp and t == grasp:
+            pool.remove_table()
+        result = pool.step(method.act(observation))
+        observation = result.observation
+        recorder.write(result.reward, result.terminated)
+        if progress is not None:
+            progress(t + 1, steps)
+    cost = {
+        "control_steps": float(steps * pool.num_envs),
+        "wall_s": time.perf_counter() - started,
+        "physics_share": pool.timing()["physics_share"],
+    }
+    return recorder.records(grasp, config.control_period), cost

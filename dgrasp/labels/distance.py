@@ -1,0 +1,137 @@
+"""Signed distances between the hand's parts and an object of primitive shapes, for many hands at once.
+
+The paper counts a part as touching when it is within 0.015 m of the object (section 3.1, docs/deviations.md).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from dgrasp.hand.model import HandModel
+from dgrasp.hand.skeleton import N_PARTS, PART_PARENT
+from dgrasp.types import Array
+from raisim_like.rotations import matrix_from_euler, matrix_from_quaternion
+from raisim_like.shapes import Shape
+
+CONTACT_DISTANCE = 0.015
+"""m. A part this close to the object should touch it."""
+
+_AXIS_SPACING = 0.004
+_FACE_SPACING = 0.011
+
+
+def signed_distance(shapes: Sequence[Shape], points_O: Array) -> Array:
+    """(...) m: distance of points (..., 3) to the union of primitives, negative inside.
+
+    Exact outside; inside the union it is the depth in the deepest primitive.
+    """
+    flat = points_O.reshape(-1, 3)
+    best = np.full(len(flat), np.inf)
+    for shape in shapes:
+        local = np.abs((flat - np.array(shape.position)) @ matrix_from_quaternion(np.array(shape.quaternion)))
+        if shape.kind == "box":
+            distance = _extended(local - np.array(shape.size) / 2)
+        elif shape.kind == "cylinder":
+            radius, length = shape.size
+            radial = np.sqrt(local[:, 0] ** 2 + local[:, 1] ** 2) - radius
+            distance = _extended(np.stack([radial, local[:, 2] - length / 2], axis=1))
+        elif shape.kind == "capsule":
+            radius, length = shape.size
+            local[:, 2] = np.maximum(local[:, 2] - length / 2, 0.0)
+            distance = np.sqrt((local**2).sum(axis=1)) - radius
+        elif shape.kind == "sphere":
+            distance = np.sqrt((local**2).sum(axis=1)) - shape.size[0]
+        else:
+            raise ValueError(f"the distance to a {shape.kind} needs its file; expected a primitive")
+        np.minimum(best, distance, out=best)
+    return best.reshape(points_O.shape[:-1])
+
+
+def _extended(excess: Array) -> Array:
+    """Distance to a product of intervals, from how far each coordinate lies beyond its interval."""
+    outside = np.sqrt((np.maximum(excess, 0.0) ** 2).sum(axis=1))
+    inside: Array = np.minimum(excess.max(axis=1), 0.0)
+    return outside + inside
+
+
+@dataclass(frozen=True)
+class HandSpheres:
+    """The hand's collision shapes as spheres: (P, 3) centres in their parts' frames, (P,) radii, (P,) parts."""
+
+    centers: Array
+    radii: Array
+    parts: Array
+
+    @classmethod
+    def of_hand(cls, hand: HandModel) -> HandSpheres:
+        """Capsules become spheres along their axes, boxes points on their faces (radius 0)."""
+        centers: list[Array] = []
+        radii: list[Array] = []
+        parts: list[Array] = []
+        for part in range(N_PARTS):
+            for shape in hand.urdf.links[int(hand.part_links[part])].shapes:
+                local, radius = _spheres(shape)
+                R = matrix_from_quaternion(np.array(shape.quaternion))
+                centers.append(local @ R.T + np.array(shape.position))
+                radii.append(np.full(len(local), radius))
+                parts.append(np.full(len(local), part))
+        return cls(np.concatenate(centers), np.concatenate(radii), np.concatenate(parts))
+
+    def place(self, R: Array, t: Array) -> Array:
+        """(N, P, 3) centres for part poses R (N, 16, 3, 3), t (N, 16, 3)."""
+        return np.matmul(R[:, self.parts], self.centers[:, :, None])[..., 0] + t[:, self.parts]
+
+    def per_part(self, distances: Array) -> Array:
+        """(N, 16) smallest distance of each part's surface, from distances (N, P) of the centres."""
+        out = np.full((len(distances), N_PARTS), np.inf)
+        for part in range(N_PARTS):
+            mine = self.parts == part
+            if mine.any():
+                out[:, part] = (distances[:, mine] - self.radii[mine]).min(axis=1)
+        return out
+
+
+def _spheres(shape: Shape) -> tuple[Array, float]:
+    """Centres in the shape's frame, and their radius."""
+    if shape.kind == "capsule":
+        radius, length = shape.size
+        z = np.linspace(-length / 2, length / 2, max(2, int(np.ceil(length / _AXIS_SPACING)) + 1))
+        return np.stack([0 * z, 0 * z, z], axis=1), radius
+    if shape.kind != "box":
+        raise ValueError(f"a hand of {shape.kind} shapes; expected capsules and boxes")
+    grids = [np.linspace(-s / 2, s / 2, max(2, int(np.ceil(s / _FACE_SPACING)) + 1)) for s in shape.size]
+    grid = np.stack(np.meshgrid(*grids, indexing="ij"), axis=-1).reshape(-1, 3)
+    on_face = (np.abs(grid) >= np.array(shape.size) / 2 - 1e-12).any(axis=1)
+    return grid[on_face], 0.0
+
+
+def part_poses(hand: HandModel, T_WH: Array, hand_pose: Array) -> tuple[Array, Array]:
+    """World rotations (N, 16, 3, 3) and origins (N, 16, 3) of the parts, for T_WH (N, 4, 4), hand_pose (N, 45)."""
+    n = len(T_WH)
+    turn = matrix_from_euler(hand_pose.reshape(n, N_PARTS - 1, 3))
+    R, t = np.empty((n, N_PARTS, 3, 3)), np.empty((n, N_PARTS, 3))
+    R[:, 0], t[:, 0] = T_WH[:, :3, :3], T_WH[:, :3, 3]
+    for part in range(1, N_PARTS):
+        parent = PART_PARENT[part]
+        t[:, part] = t[:, parent] + np.matmul(R[:, parent], hand.offsets[part])
+        R[:, part] = np.matmul(R[:, parent], turn[:, part - 1])
+    return R, t
+
+
+def part_distances(
+    hand: HandModel, spheres: HandSpheres, shapes: Sequence[Shape], T_WH: Array, hand_pose: Array, T_WO: Array
+) -> Array:
+    """(N, 16) m between the hand's parts and the object at T_WO (N, 4, 4), negative where they overlap."""
+    centers_W = spheres.place(*part_poses(hand, T_WH, hand_pose))
+    centers_O = np.matmul(centers_W - T_WO[:, None, :3, 3], T_WO[:, :3, :3])
+    return spheres.per_part(signed_distance(shapes, centers_O))
+
+
+def hand_bottom(hand: HandModel, spheres: HandSpheres, T_WH: Array, hand_pose: Array) -> Array:
+    """(N,) m: height of the hand's lowest point in the world."""
+    centers_W = spheres.place(*part_poses(hand, T_WH, hand_pose))
+    bottom: Array = (centers_W[..., 2] - spheres.radii).min(axis=1)
+    return bottom

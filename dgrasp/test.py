@@ -1,0 +1,159 @@
+"""Evaluate a policy or a baseline: `python test.py --baseline gt_pd`, `python test.py --run runs/NAME`."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import time
+from pathlib import Path
+
+import torch
+
+from dgrasp.baselines import BASELINES
+from dgrasp.build import build_hand, build_objects
+from dgrasp.config import Config, load_config
+from dgrasp.data import DataChoice, resolve
+from dgrasp.errors import ConfigError, DataError
+from dgrasp.eval import output
+from dgrasp.eval.evaluator import evaluate
+from dgrasp.eval.method import Method, PolicyMethod
+from dgrasp.eval.summary import Result, summarise
+from dgrasp.pool import PoolSpec, make_pool
+from dgrasp.rl import checkpoint
+from dgrasp.rl.progress import format_duration
+from dgrasp.rl.published import load_published_actor
+from dgrasp.train import find_config
+from dgrasp.types import EpisodeRecord
+from dgrasp.view.frames import gif_bytes, render_record, tile
+from raisim_like.engines import ENGINES
+
+HELP = """\
+Evaluate grasps: the policy (or baseline) grasps, the table is taken away, and the object must not fall
+for the window. Prints a table per object, beside the paper's numbers where hand and labels are the paper's.
+
+examples:
+  python test.py --baseline gt_pd                        hold the labels' poses with PD control
+  python test.py --run runs/dexycb_1 --split test        a policy that was trained here
+  python test.py --policy full_6000.pt --window 3.87     a policy that the authors published
+  python test.py --baseline gt_pd --labels MY.npz --json out.json
+"""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The options of `test`."""
+    what = parser.add_mutually_exclusive_group(required=True)
+    what.add_argument("--baseline", choices=sorted(BASELINES), help="a baseline of the paper")
+    what.add_argument("--run", type=Path, metavar="DIR", help="the last checkpoint of a training run")
+    what.add_argument("--policy", type=Path, metavar="FILE.pt", help="a checkpoint: ours, or one of the authors'")
+    parser.add_argument("--cfg", type=Path, metavar="FILE", help="experiment (default: the run's, else cfg/dexycb.yaml)")
+    parser.add_argument("--data", metavar="free|DIR", help="the free set, or a folder laid out like the authors' release")
+    parser.add_argument("--split", choices=("train", "test"), help="which labels (default: train)")
+    parser.add_argument("--labels", metavar="SOURCE|FILE", help="dexycb, grasptta, contactopt, or a label file")
+    parser.add_argument("--objects", nargs="+", metavar="NAME", help="only these objects, such as 004_sugar_box")
+    parser.add_argument("--engine", choices=ENGINES, help="physics engine")
+    parser.add_argument("--window", type=float, metavar="SECONDS", help="stability window (default 5; 3.87 as the authors)")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write everything as JSON; CSV and markdown beside it")
+    parser.add_argument("--gif", type=Path, metavar="FILE", help="write a GIF of some of the grasps")
+    parser.add_argument("overrides", nargs="*", metavar="key=value", help="config keys, such as seed=3 pool.workers=2")
+
+
+def main(arguments: argparse.Namespace) -> int:
+    """Run the evaluation that the command line describes; returns the exit code."""
+    torch.set_num_threads(1)
+    for file in (arguments.json, arguments.gif):
+        if file is not None and not file.parent.is_dir():
+            raise DataError(f"{file}: the folder {file.parent} does not exist")
+    config = _config(arguments)
+    method = _method(arguments, config)
+    choice = resolve(config)
+    print(choice.describe(), flush=True)
+    result, records, spec = evaluate_choice(method, config, choice)
+    output.print_table(result)
+    if arguments.json is not None:
+        output.write_json(result, arguments.json)
+        output.write_csv(result, arguments.json.with_suffix(".csv"))
+        output.write_markdown(result, arguments.json.with_suffix(".md"))
+    if arguments.gif is not None:
+        write_gif(arguments.gif, records, spec)
+    return 0
+
+
+def evaluate_choice(
+    method: Method, config: Config, choice: DataChoice
+) -> tuple[Result, list[EpisodeRecord], PoolSpec]:
+    """Evaluate a method on the chosen labels."""
+    spec = PoolSpec(choice.labels.labels, build_hand(choice), build_objects(choice, config), config)
+    pool = make_pool(spec)
+    try:
+        records, cost = evaluate(pool, method, config, config.eval.window_s, _Progress())
+        for event in pool.drain_events():
+            print(f"warning: {event}", file=sys.stderr)
+    finally:
+        pool.close()
+    result = summarise(
+        records, method=method.name, engine=config.engine, window_s=config.eval.window_s, seed=config.seed,
+        data=choice.stamp(), cost=cost,
+    )  # fmt: skip
+    return result, records, spec
+
+
+def write_gif(path: Path, records: list[EpisodeRecord], spec: PoolSpec, count: int = 6) -> None:
+    """A GIF of some episodes side by side, spread over the labels."""
+    chosen = [records[i * len(records) // min(count, len(records))] for i in range(min(count, len(records)))]
+    clips = [
+        render_record(r, spec.hand, spec.objects[r.label.object_id], spec.config.engine, every=5) for r in chosen
+    ]
+    checkpoint.atomic_write_bytes(path, gif_bytes(tile(clips, columns=3), 5 * spec.config.control_period))
+
+
+def _config(arguments: argparse.Namespace) -> Config:
+    cfg = find_config(arguments.cfg)
+    if cfg is None and arguments.run is not None:
+        cfg = arguments.run / "config.yaml"
+        if not cfg.is_file():
+            raise ConfigError(f"{arguments.run}: not a run directory (no config.yaml); expected one that train.py made")
+    if cfg is None:
+        cfg = find_config(Path("cfg/dexycb.yaml"))
+    # `--objects A B seed=3`: what holds an equals sign is not an object.
+    objects = None if arguments.objects is None else [name for name in arguments.objects if "=" not in name]
+    trailing = [word for word in arguments.objects or [] if "=" in word]
+    given = {
+        "data": arguments.data,
+        "labels.split": arguments.split,
+        "labels.source": arguments.labels,
+        "labels.objects": objects,
+        "engine": arguments.engine,
+        "eval.window_s": arguments.window,
+    }
+    overrides = [f"{key}={json.dumps(value)}" for key, value in given.items() if value is not None]
+    # What is typed last wins, so key=value stands above the options that are short for it.
+    return load_config(cfg, overrides + trailing + list(arguments.overrides))
+
+
+def _method(arguments: argparse.Namespace, config: Config) -> Method:
+    if arguments.baseline is not None:
+        return BASELINES[arguments.baseline]()
+    path = arguments.policy if arguments.policy is not None else checkpoint.latest(arguments.run)
+    if arguments.policy is not None:
+        content = checkpoint.read_torch_file(path, "a checkpoint")
+        if isinstance(content, dict) and "actor_architecture_state_dict" in content:
+            return PolicyMethod(load_published_actor(path))
+    return PolicyMethod(checkpoint.load_policy(path))
+
+
+class _Progress:
+    """Says how far an evaluation is: on one line of a terminal, else every tenth of the way."""
+
+    def __init__(self) -> None:
+        self._tenth = -1
+        self._start = time.monotonic()
+
+    def __call__(self, done: int, total: int) -> None:
+        if sys.stderr.isatty():
+            left = (time.monotonic() - self._start) / done * (total - done)
+            end = "\n" if done == total else ""
+            print(f"\revaluating: step {done} of {total}, {format_duration(left)} left ", end=end, file=sys.stderr)
+        elif 10 * done // total > self._tenth:
+            self._tenth = 10 * done // total
+            print(f"evaluating: step {done} of {total}", file=sys.stderr, flush=True)

@@ -1,0 +1,144 @@
+"""Train a grasping policy: `python train.py --cfg cfg/dexycb.yaml [key=value ...]`."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import re
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from dgrasp.atomic import write_atomic
+from dgrasp.build import build_hand, build_objects
+from dgrasp.config import Config, dump_config, load_config
+from dgrasp.data import DataChoice, resolve
+from dgrasp.errors import ConfigError, DataError
+from dgrasp.eval.evaluator import evaluate
+from dgrasp.eval.method import PolicyMethod
+from dgrasp.eval.summary import summarise
+from dgrasp.paths import cfg_root
+from dgrasp.pool import Pool, PoolSpec, make_pool
+from dgrasp.rl.networks import Policy
+from dgrasp.rl.runner import Runner
+from dgrasp.view.frames import gif_bytes, render_record
+
+HELP = """\
+Train a grasping policy with PPO on all labels of a split, one environment per label.
+
+The data is found in this order: --data, DGRASP_DATA, DEX_YCB_DIR, a release under data/, the free set.
+The first line of output says what was found. Keys of the config can be set at the end of the line.
+
+examples:
+  python train.py --cfg cfg/dexycb.yaml                              all objects
+  python train.py --cfg cfg/dexycb.yaml labels.objects=[004_sugar_box]   one object
+  python train.py --cfg cfg/dexycb.yaml --data free ppo.epochs=50 pool.workers=4
+  python train.py --resume runs/dexycb_1                             go on after an interruption
+  tensorboard --logdir runs                                          watch it
+"""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The options of `train`."""
+    parser.add_argument("--cfg", type=Path, metavar="FILE", help="experiment, such as cfg/dexycb.yaml")
+    parser.add_argument("--run", type=Path, metavar="DIR", help="run directory (default: runs/NAME_K, a new one)")
+    parser.add_argument("--data", metavar="free|DIR", help="the free set, or a folder laid out like the authors' release")
+    parser.add_argument("--resume", type=Path, metavar="DIR", help="continue the run in DIR from its last checkpoint")
+    parser.add_argument("overrides", nargs="*", metavar="key=value", help="config keys, such as ppo.epochs=100 seed=3")
+
+
+def find_config(path: Path | None) -> Path | None:
+    """A config file; `cfg/NAME.yaml` also names the one that comes with the package."""
+    if path is None or path.is_file() or path.parent != Path("cfg"):
+        return path
+    shipped = cfg_root() / path.name
+    return shipped if shipped.is_file() else path
+
+
+def main(arguments: argparse.Namespace) -> int:
+    """Run the training that the command line describes; returns the exit code."""
+    if arguments.resume is not None:
+        if arguments.run is not None or arguments.cfg is not None:
+            raise ConfigError("--resume takes cfg and run directory from the run itself; leave --cfg and --run away")
+        run_dir = arguments.resume
+        config = _saved_config(run_dir, arguments)
+    else:
+        overrides = list(arguments.overrides)
+        if arguments.data is not None:
+            overrides.append(f"data={json.dumps(arguments.data)}")
+        config = load_config(find_config(arguments.cfg), overrides)
+        run_dir = arguments.run or _next_run(config.name)
+        if run_dir.exists() and (not run_dir.is_dir() or any(run_dir.iterdir())):
+            raise ConfigError(f"{run_dir} exists already; continue it with --resume {run_dir}, or choose another --run")
+    choice = resolve(config)
+    print(choice.describe(), flush=True)
+    if arguments.resume is None:
+        start_run(run_dir, config, choice)
+    train(run_dir, config, choice, resume=arguments.resume is not None)
+    print(f"done: {run_dir}\ntest it:  python test.py --run {run_dir}\nwatch it: tensorboard --logdir {run_dir.parent}")
+    return 0
+
+
+def _saved_config(run_dir: Path, arguments: argparse.Namespace) -> Config:
+    file = run_dir / "config.yaml"
+    if not file.is_file():
+        raise ConfigError(f"{run_dir}: no config.yaml there, so no run to resume; give the folder that --run named")
+    overrides = list(arguments.overrides)
+    if arguments.data is not None:
+        overrides.append(f"data={json.dumps(arguments.data)}")
+    return load_config(file, overrides)
+
+
+def _next_run(name: str) -> Path:
+    root = Path("runs")
+    taken = [int(m.group(1)) for p in root.glob(f"{name}_*") if (m := re.fullmatch(rf"{re.escape(name)}_(\d+)", p.name))]
+    return root / f"{name}_{max(taken, default=0) + 1}"
+
+
+def start_run(run_dir: Path, config: Config, choice: DataChoice) -> None:
+    """Make the run directory with its config and its data stamp."""
+    try:
+        run_dir.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise DataError(f"{run_dir}: the run directory cannot be made ({error.strerror})") from None
+    write_atomic(run_dir / "config.yaml", dump_config(config))
+    write_atomic(run_dir / "data.json", json.dumps(choice.stamp(), indent=2) + "\n")
+
+
+def train(run_dir: Path, config: Config, choice: DataChoice, resume: bool = False) -> None:
+    """Train in `run_dir` to the config's last epoch."""
+    # The workers use all cores; a second thread here would only take one from them.
+    torch.set_num_threads(1)
+    spec = PoolSpec(choice.labels.labels, build_hand(choice), build_objects(choice, config), config)
+    pool = make_pool(spec)
+    try:
+        evaluator = periodic_evaluation(pool, spec, choice.stamp())
+        Runner(pool, config, run_dir, choice.stamp(), evaluator, resume).learn()
+    finally:
+        pool.close()
+
+
+def periodic_evaluation(pool: Pool, spec: PoolSpec, stamp: dict[str, Any]) -> Callable[[Policy], dict[str, Any]]:
+    """Deterministic evaluation on the pool's labels, with a GIF of one grasp that walks through the labels."""
+    count = 0
+
+    def run(policy: Policy) -> dict[str, Any]:
+        nonlocal count
+        config = spec.config
+        records, cost = evaluate(pool, PolicyMethod(policy), config, config.eval.window_s)
+        result = summarise(
+            records, method="policy", engine=config.engine, window_s=config.eval.window_s, seed=config.seed,
+            data=stamp, cost=cost,
+        )  # fmt: skip
+        values: dict[str, Any] = dict(result.mean_over_labels)
+        values["success_mean_over_objects"] = result.mean_over_objects["success"]
+        if config.eval.gif:
+            record = records[count * 7 % len(records)]
+            frames = render_record(record, spec.hand, spec.objects[record.label.object_id], config.engine, every=6)
+            values["gif"] = gif_bytes(frames, 6 * config.control_period)
+        count += 1
+        return values
+
+    return run
