@@ -99,9 +99,13 @@ class EnvConfig(_Section):
 
 
 class PpoConfig(_Section):
-    """PPO with the paper's hyperparameters (supplement, Table of PPO) and the authors' choices."""
+    """PPO with the paper's hyperparameters (supplement, Table of PPO) and the authors' choices.
+
+    Training ends after `epochs`, or with the first epoch that ends after `max_minutes`.
+    """
 
     epochs: Count = 10000
+    max_minutes: Positive | None = None
     gamma: Fraction = 0.996
     lam: Fraction = 0.95
     clip: Positive = 0.2

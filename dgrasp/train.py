@@ -69,7 +69,7 @@ def main(arguments: argparse.Namespace) -> int:
         if arguments.data is not None:
             overrides.append(f"data={json.dumps(arguments.data)}")
         config = load_config(find_config(arguments.cfg), overrides)
-        run_dir = arguments.run or _next_run(config.name)
+        run_dir = arguments.run or next_run(config.name)
         if run_dir.exists() and (not run_dir.is_dir() or any(run_dir.iterdir())):
             raise ConfigError(f"{run_dir} exists already; continue it with --resume {run_dir}, or choose another --run")
     choice = resolve(config)
@@ -91,7 +91,8 @@ def _saved_config(run_dir: Path, arguments: argparse.Namespace) -> Config:
     return load_config(file, overrides)
 
 
-def _next_run(name: str) -> Path:
+def next_run(name: str) -> Path:
+    """runs/NAME_K with the first K that is free."""
     root = Path("runs")
     taken = [int(m.group(1)) for p in root.glob(f"{name}_*") if (m := re.fullmatch(rf"{re.escape(name)}_(\d+)", p.name))]
     return root / f"{name}_{max(taken, default=0) + 1}"

@@ -27,8 +27,8 @@ Mode = Literal["train", "test", "label"]
 """train: noisy start, table stays, ended episodes restart. test: exact start, nothing restarts.
 label: hand and object in the label's pose, no table (the baselines' start)."""
 
-MAX_SPEED = 50.0
-"""m/s of the object, beyond which the simulation has exploded."""
+MAX_SPEED, MAX_SPIN = 50.0, 1000.0
+"""m/s and rad/s of the object, beyond which the simulation has exploded."""
 
 
 @dataclass
@@ -227,12 +227,13 @@ class GraspEnv:
 
     def _broken(self) -> Array:
         """(N,) bool: this step made the state infinite, NaN or absurdly fast."""
-        speed = np.abs(self._object_state[:, 7:10]).max(axis=1)
+        body = self._object_state
         sane = (
             np.isfinite(self.s.gc).all(axis=1)
             & np.isfinite(self.s.gv).all(axis=1)
-            & np.isfinite(self._object_state).all(axis=1)
-            & (speed < MAX_SPEED)
+            & np.isfinite(body).all(axis=1)
+            & (np.abs(body[:, 7:10]) < MAX_SPEED).all(axis=1)
+            & (np.abs(body[:, 10:13]) < MAX_SPIN).all(axis=1)
         )
         return self.alive & ~sane
 

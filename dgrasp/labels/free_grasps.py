@@ -63,6 +63,7 @@ class Proposals:
     side: Array
     press: Array
     speed: Array
+    bent: Array
 
     def take(self, rows: Array) -> Proposals:
         """The proposals of these rows."""
@@ -72,8 +73,8 @@ class Proposals:
         return len(self.T_WH)
 
 
-def hand_pose(hand: HandModel, flexion: Array, side: Array) -> Array:
-    """(N, 45) joint angles within the limits, of flexion (N, 5, 3) and side (N, 5), rad."""
+def hand_pose(hand: HandModel, flexion: Array, side: Array, bent: Array) -> Array:
+    """(N, 45) joint angles of flexion (N, 5, 3), side (N, 5) and bent (N,), rad: within the limits but for `bent`."""
     n = len(flexion)
     angles = np.zeros((n, 5, 3, 3))
     angles[:, :4, 0, 1] = side[:, :4]
@@ -88,7 +89,12 @@ def hand_pose(hand: HandModel, flexion: Array, side: Array) -> Array:
     angles[:, 4, 0] = euler_from_matrix(opposed)
     for segment in (1, 2):
         angles[:, 4, segment] = euler_from_matrix(_turn(flex, flexion[:, 4, segment]))
-    return np.clip(angles.reshape(n, 45), hand.limits[6:, 0], hand.limits[6:, 1])
+    pose = np.clip(angles.reshape(n, 45), hand.limits[6:, 0], hand.limits[6:, 1])
+    pose[:, _DISTAL] -= np.where(flexion[:, :4, 2] < -1.0, bent[:, None], 0.0)
+    return pose
+
+
+_DISTAL = np.array([3 * 3 * finger + 8 for finger in range(4)])
 
 
 def _turn(axis: Array, angle: Array) -> Array:
@@ -141,8 +147,10 @@ def propose(hand: HandModel, spheres: HandSpheres, model: ObjectModel, rng: np.r
     side[:, :4] = np.radians(rng.uniform(-0.5, 1.0, n))[:, None] * np.array([5.0, 0.0, -4.0, -8.0]) * -1.0
     side[:, 4] = np.radians(rng.uniform(5, 45, n))
     speed = np.stack([np.ones(n), rng.uniform(0.3, 1.2, n), rng.uniform(0.2, 0.8, n)], axis=1)
-    found = Proposals(T_WH, T_WO, rest, a, flexion, side, rng.uniform(0.0005, 0.005, n), speed)
-    pose = hand_pose(hand, flexion, side)
+    bent = np.where(rng.uniform(size=n) < 0.6, np.radians(rng.uniform(1.0, 6.0, n)), 0.0)
+    flexion[bent > 0, :4, 2] = -2.0
+    found = Proposals(T_WH, T_WO, rest, a, flexion, side, rng.uniform(0.0005, 0.005, n), speed, bent)
+    pose = hand_pose(hand, flexion, side, bent)
     clear = hand_bottom(hand, spheres, T_WH, pose) > TABLE_TOP + TABLE_CLEARANCE
     clear &= R_WH[:, 2, 2] > -0.35
     found, pose = found.take(np.flatnonzero(clear)), pose[clear]
@@ -196,7 +204,9 @@ def close(hand: HandModel, spheres: HandSpheres, model: ObjectModel, proposals: 
             trial = proposals.flexion.copy()
             trial[:, :, segment] += math.radians(step) * proposals.speed[:, None, segment]
             trial = np.minimum(trial, limits)
-            pose = hand_pose(hand, trial, proposals.side)
+            if segment == 2:
+                trial[proposals.bent > 0, :4, 2] = -2.0
+            pose = hand_pose(hand, trial, proposals.side, proposals.bent)
             apart = part_distances(hand, fingers, model.shapes, proposals.T_WH, pose, proposals.T_WO)
             per_finger = apart[:, 1:].reshape(-1, 5, 3)[:, :, segment:].min(axis=2)
             height = _finger_heights(hand, fingers, proposals.T_WH, pose)[:, :, segment:].min(axis=2)
@@ -215,7 +225,7 @@ def pressing_normals(
     hand: HandModel, spheres: HandSpheres, model: ObjectModel, proposals: Proposals
 ) -> tuple[Array, Array]:
     """(N, 16) distances of the parts, and (N, 16, 3) the object's outward normals where they come closest, frame O."""
-    pose = hand_pose(hand, proposals.flexion, proposals.side)
+    pose = hand_pose(hand, proposals.flexion, proposals.side, proposals.bent)
     centers_W = spheres.place(*part_poses(hand, proposals.T_WH, pose))
     T = proposals.T_WO
     centers_O = np.matmul(centers_W - T[:, None, :3, 3], T[:, :3, :3])

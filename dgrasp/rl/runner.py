@@ -105,6 +105,7 @@ class Runner:
         for notice in self._notices:
             log.message(notice)
         last_epoch = self.config.ppo.epochs
+        deadline = time.monotonic() + 60.0 * (self.config.ppo.max_minutes or float("inf"))
         if self.epoch == 0:
             self._complete(0, {}, log)
         elif self.epoch >= last_epoch:
@@ -116,9 +117,12 @@ class Runner:
             collected = time.monotonic()
             statistics = self.ppo.update(self.rollout, generator)
             speed = self._speed(collected - started, time.monotonic() - collected)
-            self._complete(epoch, {**rewards, **_tagged("ppo", statistics), **speed}, log)
-            if epoch % self.config.checkpoint.every == 0 or epoch == last_epoch:
+            last = epoch == last_epoch or time.monotonic() > deadline
+            self._complete(epoch, {**rewards, **_tagged("ppo", statistics), **speed}, log, last)
+            if epoch % self.config.checkpoint.every == 0 or last:
                 self._save()
+            if last:
+                break
 
     def _collect(self, epoch: int, generator: torch.Generator, log: Log) -> dict[str, float]:
         """Fill the rollout with one epoch and compute its returns; the epoch's reward statistics."""
@@ -180,11 +184,11 @@ class Runner:
         own = {STEPS_PER_SECOND: self._steps_per_epoch / seconds, UPDATE_SHARE: update_s / seconds}
         return {**_tagged("speed", self.env.timing()), **own}
 
-    def _complete(self, epoch: int, values: dict[str, float], log: Log) -> None:
+    def _complete(self, epoch: int, values: dict[str, float], log: Log, last: bool = False) -> None:
         """Evaluate if it is time to, log, and take the snapshot that makes the epoch count as completed."""
         self.epoch = epoch
         gif = None
-        if self.evaluate is not None and (epoch % self.config.eval.every == 0 or epoch == self.config.ppo.epochs):
+        if self.evaluate is not None and (epoch % self.config.eval.every == 0 or last):
             results = dict(self.evaluate(self.model.policy()))
             gif = results.pop("gif", None)
             values = {**values, **_tagged("eval", results)}

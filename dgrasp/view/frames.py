@@ -11,9 +11,10 @@ from PIL import Image
 from dgrasp.config import PhysicsConfig
 from dgrasp.hand.model import HandModel
 from dgrasp.objects.model import ObjectModel
+from dgrasp.pool.base import PoolSpec
 from dgrasp.scene.scene import LOWERED_TOP, TABLE_TOP, Scene
-from dgrasp.types import Array, EpisodeRecord
-from raisim_like.rotations import matrix_from_euler, quaternion_from_matrix
+from dgrasp.types import Array, EpisodeRecord, SceneState
+from raisim_like.rotations import matrix_from_euler, quaternion_from_matrix, transform
 
 HAND_COLOR = (0.92, 0.76, 0.62, 1.0)
 OBJECT_COLOR = (0.25, 0.47, 0.75, 1.0)
@@ -51,6 +52,25 @@ def render_record(
         return frames
     finally:
         scene.close()
+
+
+def render_state(state: SceneState, row: int, spec: PoolSpec, size: tuple[int, int] = (320, 240)) -> Array:
+    """One picture (height, width, 3) uint8 of the current state of an environment."""
+    label = spec.labels[row]
+    record = EpisodeRecord(
+        label=label,
+        gc=state.gc[row : row + 1],
+        T_WH=transform(state.R_WH[row], state.joints_W[row, 0])[None],
+        joints_W=state.joints_W[row : row + 1],
+        T_WO=transform(state.R_WO[row], state.object_pos_W[row])[None],
+        contacts=state.contacts[row : row + 1],
+        contact_impulse=state.contact_impulse[row : row + 1],
+        table_contact=state.table_contact[row : row + 1] > 0,
+        reward=np.zeros(1),
+        window_start=1,
+        dt=spec.config.control_period,
+    )
+    return render_record(record, spec.hand, spec.objects[label.object_id], spec.config.engine, size=size)[0]
 
 
 def gif_bytes(frames: Sequence[Array], frame_s: float) -> bytes:

@@ -8,12 +8,12 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-import pybullet as p
 
 from raisim_like.contact import Contact
 from raisim_like.engines.bullet_pd import ImplicitPd, integrate_worlds
 from raisim_like.engines.bullet_urdf import normalised_urdf
 from raisim_like.engines.protocol import Array, EngineWorld
+from raisim_like.engines.quiet_pybullet import pybullet as p
 from raisim_like.errors import EngineError
 from raisim_like.material import MaterialTable
 from raisim_like.rotations import matrix_from_quaternion, quaternion_from_matrix

@@ -22,10 +22,10 @@ from typing import TYPE_CHECKING
 from weakref import WeakKeyDictionary
 
 import numpy as np
-import pybullet as p
 
 from raisim_like.engines.bullet_urdf import LIGHT_INERTIA, simulated_inertias
 from raisim_like.engines.protocol import Array
+from raisim_like.engines.quiet_pybullet import pybullet as p
 from raisim_like.urdf import UrdfModel
 
 if TYPE_CHECKING:

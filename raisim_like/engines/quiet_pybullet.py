@@ -1,0 +1,28 @@
+"""PyBullet, imported without the build time that it prints on standard error."""
+
+from __future__ import annotations
+
+import os
+import sys
+
+
+def _import_quietly() -> None:
+    sys.stderr.flush()
+    saved, null = os.dup(2), os.open(os.devnull, os.O_WRONLY)
+    try:
+        os.dup2(null, 2)
+        import pybullet  # noqa: F401
+    finally:
+        os.dup2(saved, 2)
+        os.close(saved)
+        os.close(null)
+
+
+if "pybullet" not in sys.modules:
+    try:
+        _import_quietly()
+    except OSError:
+        pass  # Without a standard error there is nothing to keep clean.
+import pybullet  # noqa: E402
+
+__all__ = ["pybullet"]
