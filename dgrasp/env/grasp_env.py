@@ -140,8 +140,8 @@ class GraspEnv:
             start = self.starts[i]
             if self.mode == "train":
                 start = self._with_noise(start, self._rng[i])
-        scene.set_table_top(LOWERED_TOP if self.mode == "label" else TABLE_TOP)
-        scene.place(start.T_WH, start.hand_pose, start.T_WO)
+        table_top = LOWERED_TOP if self.mode == "label" else TABLE_TOP
+        scene.place(start.T_WH, start.hand_pose, start.T_WO, table_top)
         scene.set_gains(
             self.config.env.action, self.control.kp_position, scene.object_model.mass if self.control.carries else 0.0
         )

@@ -141,7 +141,8 @@ def free_hand_urdf() -> str:
             _add_massless_link(robot, tip)
             _add_joint(robot, f"{tip}_joint", "fixed", part.name, tip, offset)
     ElementTree.indent(robot, space="  ")
-    comment = "<!-- Written by `python -m dgrasp.hand.free_hand`; change dgrasp/hand/free_anatomy.py, not this file. -->"
+    command = "python -m dgrasp.hand.free_hand"
+    comment = f"<!-- Written by `{command}`; change dgrasp/hand/free_anatomy.py, not this file. -->"
     return f'<?xml version="1.0" encoding="utf-8"?>\n{comment}\n{ElementTree.tostring(robot, encoding="unicode")}\n'
 
 

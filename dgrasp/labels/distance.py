@@ -20,7 +20,7 @@ CONTACT_DISTANCE = 0.015
 """m. A part this close to the object should touch it."""
 
 _AXIS_SPACING = 0.004
-_FACE_SPACING = 0.011
+_FACE_SPACING = 0.015
 
 
 def signed_distance(shapes: Sequence[Shape], points_O: Array) -> Array:
@@ -82,7 +82,11 @@ class HandSpheres:
 
     def place(self, R: Array, t: Array) -> Array:
         """(N, P, 3) centres for part poses R (N, 16, 3, 3), t (N, 16, 3)."""
-        return np.matmul(R[:, self.parts], self.centers[:, :, None])[..., 0] + t[:, self.parts]
+        out = np.empty((len(R), len(self.radii), 3))
+        for part in range(N_PARTS):
+            mine = self.parts == part
+            out[:, mine] = np.matmul(self.centers[mine], np.swapaxes(R[:, part], 1, 2)) + t[:, part, None]
+        return out
 
     def per_part(self, distances: Array) -> Array:
         """(N, 16) smallest distance of each part's surface, from distances (N, P) of the centres."""

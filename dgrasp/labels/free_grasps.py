@@ -7,7 +7,8 @@ press deeper into the object than the proposal allows. Everything is computed fo
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -19,7 +20,8 @@ from dgrasp.objects.free import shape_bounds
 from dgrasp.objects.model import ObjectModel
 from dgrasp.scene.scene import TABLE_TOP
 from dgrasp.types import Array
-from raisim_like.rotations import euler_from_matrix, matrix_from_quaternion, transform
+from raisim_like.rotations import euler_from_matrix, matrix_from_quaternion, quaternion_from_matrix, transform
+from raisim_like.shapes import Shape
 
 TABLE_CLEARANCE = 0.002
 """m between hand and table at the grasp."""
@@ -103,32 +105,23 @@ def _turn(axis: Array, angle: Array) -> Array:
 
 def place_at_rest(model: ObjectModel, rng: np.random.Generator, n: int) -> Array:
     """(n, 4, 4) T_WO of the object at rest on the table, each at a random place and yaw."""
-    poses = _REST.get(model.name, (_UPRIGHT,))
-    out = np.empty((n, 4, 4))
-    for i, choice in enumerate(rng.integers(len(poses), size=n)):
-        down = Rotation.from_euler("XYZ", poses[choice]).as_matrix()
-        height = TABLE_TOP - lowest(model, down)
-        yaw = Rotation.from_euler("z", rng.uniform(-math.pi, math.pi)).as_matrix()
-        out[i] = transform(yaw @ down, np.array([rng.uniform(0.42, 0.62), rng.uniform(0.1, 0.35), height]))
-    return out
+    downs = [Rotation.from_euler("XYZ", pose).as_matrix() for pose in _REST.get(model.name, (_UPRIGHT,))]
+    heights = np.array([TABLE_TOP - lowest(model.shapes, R) for R in downs])
+    chosen = rng.integers(len(downs), size=n)
+    yaw = Rotation.from_rotvec(rng.uniform(-math.pi, math.pi, n)[:, None] * [0.0, 0.0, 1.0]).as_matrix()
+    place = rng.uniform((0.42, 0.10, 0.0), (0.62, 0.35, 0.0), (n, 3))
+    place[:, 2] = heights[chosen]
+    return transform(yaw @ np.array(downs)[chosen], place)
 
 
-def lowest(model: ObjectModel, R_WO: Array) -> float:
-    """m: height of the object's lowest point above its origin (negative), in the orientation R_WO."""
+def lowest(shapes: Sequence[Shape], R_WO: Array) -> float:
+    """m: height of the lowest point of primitives above their frame's origin (negative), turned by R_WO."""
     turned = []
-    for shape in model.shapes:
-        R = R_WO @ matrix_from_quaternion(np.array(shape.quaternion))
-        turned.append(_support_down(shape.kind, shape.size, R) + float(R_WO[2] @ np.array(shape.position)))
-    return min(turned)
-
-
-def _support_down(kind: str, size: tuple[float, ...], R: Array) -> float:
-    if kind == "box":
-        return -float(np.abs(R[2]) @ np.array(size)) / 2
-    radius, length = size
-    if kind == "capsule":
-        return -radius - abs(R[2, 2]) * length / 2
-    return -radius * math.sqrt(max(0.0, 1.0 - R[2, 2] ** 2)) - abs(R[2, 2]) * length / 2
+    for shape in shapes:
+        q = quaternion_from_matrix(R_WO @ matrix_from_quaternion(np.array(shape.quaternion)))
+        position = tuple(float(v) for v in R_WO @ np.array(shape.position))
+        turned.append(replace(shape, position=position, quaternion=tuple(float(v) for v in q)))
+    return float(shape_bounds(turned)[0, 2])
 
 
 def propose(hand: HandModel, spheres: HandSpheres, model: ObjectModel, rng: np.random.Generator, n: int) -> Proposals:
@@ -143,11 +136,11 @@ def propose(hand: HandModel, spheres: HandSpheres, model: ObjectModel, rng: np.r
     T_WH = transform(R_WH, target_W - np.matmul(R_WH, held_H[..., None])[..., 0])
     flexion, side = np.zeros((n, 5, 3)), np.zeros((n, 5))
     flexion[:, :4] = np.radians(rng.uniform((-10, 5, 2), (20, 25, 12), (n, 3)))[:, None]
-    flexion[:, 4] = np.radians(rng.uniform((-12, -8, -8), (0, 8, 8), (n, 3)))
+    flexion[:, 4] = np.radians(rng.uniform((-25, -8, -8), (0, 8, 8), (n, 3)))
     side[:, :4] = np.radians(rng.uniform(-0.5, 1.0, n))[:, None] * np.array([5.0, 0.0, -4.0, -8.0]) * -1.0
     side[:, 4] = np.radians(rng.uniform(5, 45, n))
     speed = np.stack([np.ones(n), rng.uniform(0.3, 1.2, n), rng.uniform(0.2, 0.8, n)], axis=1)
-    bent = np.where(rng.uniform(size=n) < 0.6, np.radians(rng.uniform(1.0, 6.0, n)), 0.0)
+    bent = np.where(rng.uniform(size=n) < 0.6, np.radians(rng.uniform(2.0, 8.0, n)), 0.0)
     flexion[bent > 0, :4, 2] = -2.0
     found = Proposals(T_WH, T_WO, rest, a, flexion, side, rng.uniform(0.0005, 0.005, n), speed, bent)
     pose = hand_pose(hand, flexion, side, bent)
@@ -179,7 +172,7 @@ def _half_sizes(kind: str, size: tuple[float, ...]) -> Array:
 def _directions(model: ObjectModel, T_WO: Array, rng: np.random.Generator) -> tuple[Array, Array]:
     """(N, 3) unit vectors: where the palm faces, from above or (for tall objects) from the side, and the fingers."""
     n = len(T_WO)
-    heights = np.array([-2.0 * lowest(model, T[:3, :3]) for T in T_WO])
+    heights = 2.0 * (T_WO[:, 2, 3] - TABLE_TOP)
     from_side = rng.uniform(size=n) < np.clip((heights - 0.05) / 0.1, 0.0, 0.6)
     down = np.radians(np.where(from_side, rng.uniform(-10, 45, n), rng.uniform(45, 90, n)))
     azimuth = rng.uniform(-math.pi, math.pi, n)

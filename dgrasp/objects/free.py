@@ -199,11 +199,13 @@ def _clamp() -> tuple[Shape, ...]:
 
 
 def _mustard() -> tuple[Shape, ...]:
-    return (*_stadium(0.097, 0.066, 0.130, "x"), *_raised(_stack((0.027, 0.022), (0.018, 0.025), (0.006, 0.015)), 0.130))
+    neck = _stack((0.027, 0.022), (0.018, 0.025), (0.006, 0.015))
+    return (*_stadium(0.097, 0.066, 0.130, "x"), *_raised(neck, 0.130))
 
 
 def _bleach() -> tuple[Shape, ...]:
-    return (*_stadium(0.103, 0.068, 0.170, "x"), *_raised(_stack((0.030, 0.030), (0.016, 0.021), (0.021, 0.030)), 0.170))
+    neck = _stack((0.030, 0.030), (0.016, 0.021), (0.021, 0.030))
+    return (*_stadium(0.103, 0.068, 0.170, "x"), *_raised(neck, 0.170))
 
 
 def _simple(name: str) -> tuple[Shape, ...]:

@@ -39,6 +39,8 @@ class Scene:
         self.hand = self.world.add_articulated_system(
             hand.urdf, "hand", collision_mask(SYSTEM, hits | (SYSTEM if physics.self_collision else 0)),
             self_collision=physics.self_collision,
+            # PD targets are clipped to the limits, and 50 N m/rad keeps the joints there.
+            enforce_limits=False,
         )  # fmt: skip
         self.object = self.world.add_body(
             model.shapes, model.mass, model.inertia, model.center_of_mass_O, "object",
@@ -61,8 +63,10 @@ class Scene:
         """Put the table's top at a height (m, world)."""
         self.table.set_state((*TABLE_XY, height - TABLE_SIZE[2] / 2))
 
-    def place(self, T_WH0: Array, hand_pose: Array, T_WO: Array) -> None:
-        """Put hand base (4, 4), fingers (45,) and object (4, 4), all at rest."""
+    def place(self, T_WH0: Array, hand_pose: Array, T_WO: Array, table_top: float) -> None:
+        """Put hand base (4, 4), fingers (45,), object (4, 4) and table (m), all at rest and without a past."""
+        self._engine.forget_contacts()
+        self.set_table_top(table_top)
         self.R_WH0 = T_WH0[:3, :3]
         self.hand.set_base_pose(T_WH0[:3, 3], quaternion_from_matrix(T_WH0[:3, :3]))
         gc = np.zeros(N_DOF)

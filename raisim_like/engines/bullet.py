@@ -75,6 +75,8 @@ class BulletWorld:
             erp=0.0,
             contactBreakingThreshold=CONTACT_BREAKING_THRESHOLD,
             deterministicOverlappingPairs=1,
+            # 0: both groups must be in the other's mask; by default one is enough.
+            collisionFilterMode=0,
             physicsClientId=self.client,
         )
 
@@ -209,11 +211,13 @@ class BulletWorld:
 
     # Articulated systems -----------------------------------------------------------------------
 
-    def add_articulated(self, model: UrdfModel, material: str, collision_mask: int, self_collision: bool) -> int:
+    def add_articulated(
+        self, model: UrdfModel, material: str, collision_mask: int, self_collision: bool, enforce_limits: bool
+    ) -> int:
         handle, path = tempfile.mkstemp(suffix=".urdf")
         try:
             with os.fdopen(handle, "w", encoding="utf-8") as stream:
-                stream.write(normalised_urdf(model))
+                stream.write(normalised_urdf(model, enforce_limits))
             flags = p.URDF_USE_INERTIA_FROM_FILE
             if self_collision:
                 flags |= p.URDF_USE_SELF_COLLISION | p.URDF_USE_SELF_COLLISION_EXCLUDE_ALL_PARENTS
@@ -277,6 +281,15 @@ class BulletWorld:
         )
         quaternions = np.array([(s[5][3], *s[5][:3]) for s in states])
         return matrix_from_quaternion(quaternions), np.array([s[4] for s in states])
+
+    def forget_contacts(self) -> None:
+        # Bullet warm-starts its solver from contacts of the past, also over a teleport. Without a pair of
+        # bodies near each other the broad phase drops them, and the next episode depends on nothing before it.
+        for k, body in enumerate([*self.bodies, *self.systems]):
+            p.resetBasePositionAndOrientation(
+                body, [0.0, 100.0 * k, 1000.0], [0.0, 0.0, 0.0, 1.0], physicsClientId=self.client
+            )
+        p.performCollisionDetection(physicsClientId=self.client)
 
     # Contacts and pictures ---------------------------------------------------------------------
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raisim_like.shapes import Shape
-from raisim_like.urdf import UrdfModel
+from raisim_like.urdf import UrdfLink, UrdfModel, shape_pose
 
 LINK_INERTIA = 3e-4
 """kg m^2 of every revolute link. Bullet's contact solver sees the links, not the controller; grams at the
@@ -51,7 +51,7 @@ def _wrist_links(model: UrdfModel) -> set[int]:
         chain.add(current)
 
 
-def normalised_urdf(model: UrdfModel) -> str:
+def normalised_urdf(model: UrdfModel, enforce_limits: bool = True) -> str:
     """URDF text with one link per degree of freedom and Bullet-friendly masses and inertias."""
     lines = ['<?xml version="1.0"?>', f"<robot name={quoteattr(model.name)}>", _BASE]
     inertias = simulated_inertias(model)
@@ -67,7 +67,7 @@ def normalised_urdf(model: UrdfModel) -> str:
         lines.append("</link>")
         parent = "base" if link.parent < 0 else f"link{link.parent}"
         lines.append(
-            f"<joint name={quoteattr(link.joint)} type={quoteattr(_kind(link.kind, link.lower))}>"
+            f"<joint name={quoteattr(link.joint)} type={quoteattr(_kind(link, enforce_limits))}>"
             f'<parent link="{parent}"/><child link="link{i}"/>{_origin(link.origin)}'
             f'<axis xyz="{" ".join(repr(float(v)) for v in link.axis)}"/>'
         )
@@ -78,8 +78,10 @@ def normalised_urdf(model: UrdfModel) -> str:
     return "\n".join(lines)
 
 
-def _kind(kind: str, lower: float) -> str:
-    return kind if np.isfinite(lower) or kind == "prismatic" else "continuous"
+def _kind(link: UrdfLink, enforce_limits: bool) -> str:
+    if link.kind == "prismatic":
+        return link.kind
+    return "revolute" if enforce_limits and np.isfinite(link.lower) else "continuous"
 
 
 def _rpy(R: NDArray[Any]) -> tuple[float, float, float]:
@@ -96,8 +98,6 @@ def _origin(T: NDArray[Any]) -> str:
 
 
 def _geometry(shape: Shape) -> str:
-    from raisim_like.urdf import shape_pose
-
     size = [repr(float(v)) for v in shape.size]
     if shape.kind == "box":
         inner = f'<box size="{" ".join(size)}"/>'

@@ -33,7 +33,9 @@ class EngineWorld(Protocol):
     ) -> int:
         """A rigid body; mass 0 makes it static. inertia (3, 3) about the com (3,)."""
 
-    def add_articulated(self, model: UrdfModel, material: str, collision_mask: int, self_collision: bool) -> int:
+    def add_articulated(
+        self, model: UrdfModel, material: str, collision_mask: int, self_collision: bool, enforce_limits: bool
+    ) -> int:
         """An articulated system on a fixed base."""
 
     def remove(self, body: int) -> None:
@@ -68,6 +70,9 @@ class EngineWorld(Protocol):
 
     def mass_matrix(self, body: int) -> Array:
         """(dof, dof) mass matrix of the articulated system as the engine simulates it."""
+
+    def forget_contacts(self) -> None:
+        """Drop what the solver remembers of past contacts; all bodies must be placed anew afterwards."""
 
     def link_impulses(self, body: int, other: int, out: Array) -> None:
         """Writes the summed normal impulse (N s, last substep) of each moving link against `other`, (dof,)."""

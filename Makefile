@@ -1,0 +1,57 @@
+# Each target makes .venv first, and renews it only when pyproject.toml or constraints.txt has changed.
+#   PYTHON=/path/to/python3.11     the Python to make .venv with
+#   PIP_FLAGS="--index-url URL"    what every pip install is given too
+PYTHON ?= python3.11 python3.10 python3 python
+PIP_FLAGS ?=
+
+PY := .venv/bin/python
+PIP := $(PY) -m pip --disable-pip-version-check install -qq --constraint constraints.txt $(PIP_FLAGS)
+FITS := import ensurepip, sys, venv; sys.exit(sys.version_info[:2] not in ((3, 10), (3, 11)))
+
+.PHONY: help setup demo test clean
+
+help:
+	@echo "make setup   make .venv: dgrasp and what it needs, pinned"
+	@echo "make demo    train briefly on the free set, evaluate, print one table (ten minutes at most)"
+	@echo "make test    ruff, mypy and pytest"
+	@echo "make clean   remove .venv, builds and caches; runs/ and results/ stay"
+
+setup: .venv/.installed
+
+demo: .venv/.installed
+	@$(PY) -m dgrasp.demo
+
+# One thread a process: torch's own threads in two pytest workers would fight for the cores.
+test: .venv/.installed-dev
+	$(PY) -m ruff check .
+	$(PY) -m mypy
+	OMP_NUM_THREADS=1 $(PY) -m pytest -q -n 2 --dist loadgroup
+
+clean:
+	rm -rf .venv build dist dgrasp.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	find benchmarks dgrasp raisim_like tests -name __pycache__ -prune -exec rm -rf {} +
+
+.venv/.installed: pyproject.toml setup.py constraints.txt
+	@$(PY) -c 'import pip; $(FITS)' 2>/dev/null || { \
+	  for python in $(PYTHON); do \
+	    if "$$python" -c '$(FITS)' >/dev/null 2>&1; then \
+	      echo "setup: .venv with $$("$$python" --version)"; exec "$$python" -m venv --clear .venv; \
+	    fi; \
+	  done; \
+	  echo "No Python 3.10 or 3.11 with its venv module found (looked at: $(PYTHON)). PyBullet has wheels for these" \
+	       "two alone; install one, or name yours: make $(or $(MAKECMDGOALS),setup) PYTHON=/path/to/python3.11" >&2; \
+	  exit 2; }
+	@torch=$$(sed -n 's/^torch==//p' constraints.txt); echo "setup: torch $$torch"; \
+	if [ "$$(uname -s)" = Linux ] && ! nvidia-smi >/dev/null 2>&1; then \
+	  $(PIP) "torch==$$torch+cpu" 2>/dev/null || \
+	    echo "setup: no CPU build of torch on offer; the default may bring gigabytes of CUDA (see PIP_FLAGS)"; \
+	fi; \
+	$(PIP) torch setuptools
+	@echo "setup: dgrasp and what else it needs"
+	@$(PIP) --no-build-isolation --editable .
+	@touch $@
+
+.venv/.installed-dev: .venv/.installed
+	@echo "setup: ruff, mypy, pytest and the like"
+	@$(PIP) --no-build-isolation --editable '.[dev]'
+	@touch $@

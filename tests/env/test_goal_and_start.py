@@ -1,0 +1,59 @@
+"""Goals relative to the object, and starts for labels that have none."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from dgrasp.env.goal import make_goal
+from dgrasp.env.start import APPROACH_DISTANCE, start_pose
+from raisim_like.rotations import matrix_from_euler, transform
+from tests.env.build import box, moved_label, random_labels, random_rotations
+
+
+def test_goals_are_relative_to_the_object() -> None:
+    labels = random_labels(4)
+    rng = np.random.default_rng(2)
+    moved = [moved_label(one, transform(random_rotations(1, rng)[0], rng.normal(size=3))) for one in labels]
+    first, second = make_goal(labels), make_goal(moved)
+    assert np.abs(first.joints_O - second.joints_O).max() < 1e-12
+    assert np.abs(first.R_OH - second.R_OH).max() < 1e-12
+    assert np.abs(first.wrist_euler_O - second.wrist_euler_O).max() < 1e-12
+    assert np.array_equal(first.hand_pose, second.hand_pose)
+    assert np.array_equal(first.goal_contacts, second.goal_contacts)
+
+
+def test_with_the_object_in_the_worlds_frame_goals_are_the_labels_numbers() -> None:
+    (one,) = random_labels(1)
+    goal = make_goal([replace(one, T_WO=np.eye(4))])
+    assert goal.joints_O.tolist() == [one.joints_W.tolist()]
+    assert np.array_equal(goal.R_OH[0], one.T_WH[:3, :3])
+    assert np.abs(matrix_from_euler(goal.wrist_euler_O)[0] - one.T_WH[:3, :3]).max() < 1e-12
+    assert goal.goal_contacts.dtype == np.float64
+    assert goal.goal_contacts[0].tolist() == one.goal_contacts.astype(float).tolist()
+
+
+def test_a_label_keeps_its_own_start() -> None:
+    (one,) = random_labels(1)
+    assert start_pose(one, box()) is one.start
+
+
+def test_without_a_start_the_wrist_is_drawn_back_from_the_object() -> None:
+    for one in random_labels(4):
+        start = start_pose(replace(one, start=None), box())
+        away = one.T_WH[:3, 3] - one.T_WO[:3, 3]
+        drawn = start.T_WH[:3, 3] - one.T_WH[:3, 3]
+        assert np.allclose(drawn, APPROACH_DISTANCE * away / np.linalg.norm(away), atol=1e-12)
+        assert np.array_equal(start.T_WH[:3, :3], one.T_WH[:3, :3])
+        assert np.array_equal(start.T_WO, one.T_WO)
+        assert start.hand_pose.tolist() == [0.0] * 45
+
+
+def test_a_wrist_in_the_objects_centre_goes_up() -> None:
+    (one,) = random_labels(1)
+    inside = replace(one, T_WH=one.T_WO.copy(), start=None)
+    start = start_pose(inside, box())
+    assert np.allclose(start.T_WH[:3, 3] - one.T_WO[:3, 3], [0, 0, APPROACH_DISTANCE], atol=1e-15)
+    # The label itself is not touched.
+    assert np.array_equal(inside.T_WH, one.T_WO)

@@ -1,0 +1,68 @@
+"""The Gymnasium face passes Gymnasium's own checker and tells the truth about its autoreset."""
+
+from __future__ import annotations
+
+import warnings
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+from gymnasium.vector import AutoresetMode
+
+import dgrasp.env.gym  # noqa: F401
+from dgrasp.errors import ConfigError
+
+FREE = ["data=free", "labels.objects=[004_sugar_box]", "env.episode_steps=62"]
+
+
+@pytest.fixture(scope="module")
+def env():
+    made = gymnasium.make("dgrasp/Grasp-v0", overrides=FREE, render_mode="rgb_array")
+    yield made
+    made.close()
+
+
+def test_gymnasiums_checker_is_satisfied(env):
+    with warnings.catch_warnings():
+        # It recommends actions within [-1, 1]; ours are dimensionless residuals without such a bound.
+        warnings.filterwarnings("ignore", message=".*symmetric and normalized space.*")
+        check_env(env.unwrapped)
+
+
+def test_spaces_are_bounded_and_rendering_gives_a_picture(env):
+    assert np.isfinite(env.observation_space.low).all() and np.isfinite(env.action_space.high).all()
+    env.reset(seed=0)
+    picture = env.render()
+    assert picture.shape == (240, 320, 3) and picture.dtype == np.uint8 and picture.std() > 10
+
+
+def test_the_seed_fixes_the_start(env):
+    first, again, other = (env.reset(seed=s)[0] for s in (5, 5, 6))
+    assert np.array_equal(first, again) and not np.array_equal(first, other)
+
+
+def test_an_episode_ends_by_truncation_and_names_its_reward_terms(env):
+    env.reset(seed=1)
+    for t in range(62):
+        _, reward, terminated, truncated, info = env.step(np.zeros(51, np.float32))
+        assert not terminated and truncated == (t == 61)
+        assert sum(info["reward_terms"].values()) == pytest.approx(reward, abs=1e-5)
+
+
+def test_vector_env_restarts_in_the_same_step():
+    venv = gymnasium.make_vec("dgrasp/Grasp-v0", num_envs=2, overrides=FREE)
+    assert venv.metadata["autoreset_mode"] is AutoresetMode.SAME_STEP
+    observation, _ = venv.reset(seed=3)
+    assert observation.shape == (2, 279) and venv.observation_space.contains(observation)
+    for t in range(62):
+        observation, _, terminated, truncated, info = venv.step(np.zeros((2, 51), np.float32))
+        assert truncated.all() == (t == 61) and not terminated.any()
+    assert info["_final_obs"].all() and not np.array_equal(info["final_obs"], observation)
+    assert np.all(observation[:, :6] == 0.0)
+    venv.close()
+
+
+def test_more_environments_than_labels_are_refused():
+    with pytest.raises(ConfigError, match="one environment per label"):
+        gymnasium.make_vec("dgrasp/Grasp-v0", num_envs=999, overrides=FREE)

@@ -1,0 +1,41 @@
+"""What Python sources import, read without running them."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Iterator
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+
+
+def imported_names(source: str, module: str, is_package: bool = False) -> set[str]:
+    """Full names of all that a module imports, at any depth of the code.
+
+    module: the module's own dotted name, which relative imports start from. `from a import b` yields "a" and
+    "a.b", as b may be a module itself.
+    """
+    package = module.split(".") if is_package else module.split(".")[:-1]
+    names = set()
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Import):
+            names |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            above = package[: len(package) - node.level + 1] if node.level else []
+            base = ".".join([*above, *([node.module] if node.module else [])])
+            names |= {base} | {f"{base}.{alias.name}" for alias in node.names}
+    return names
+
+
+def modules(folder: str) -> Iterator[tuple[str, set[str]]]:
+    """Each module below a folder of the checkout, by its path from there, with what it imports."""
+    for path in sorted((ROOT / folder).rglob("*.py")):
+        relative = path.relative_to(ROOT)
+        is_package = path.name == "__init__.py"
+        parts = relative.parent.parts if is_package else relative.with_suffix("").parts
+        yield relative.as_posix(), imported_names(path.read_text(encoding="utf-8"), ".".join(parts), is_package)
+
+
+def within(name: str, *packages: str) -> bool:
+    """Whether a dotted name is one of the packages or inside one."""
+    return any(name == package or name.startswith(package + ".") for package in packages)

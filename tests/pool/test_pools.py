@@ -1,0 +1,104 @@
+"""The process pool is held equal to the serial one, to the bit, however the labels are divided."""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+
+import numpy as np
+import pytest
+
+from dgrasp.pool import make_pool
+from dgrasp.pool.process import PoolError, ProcessPool
+from dgrasp.pool.serial import SerialPool
+from tests.scenes import make_spec
+
+STEPS = 6
+
+
+def _run(pool, mode="train"):
+    """Everything that a pool says over a few random steps, with the table taken away in between."""
+    rng = np.random.default_rng(7)
+    said = [pool.reset(3, mode).copy()]
+    for t in range(STEPS):
+        if mode == "test" and t == STEPS // 2:
+            pool.remove_table()
+        step = pool.step(rng.normal(size=(pool.num_envs, 51)).astype(np.float32))
+        said += [np.array(part) for part in step]
+        if mode == "test":
+            said += [pool.state.gc.copy(), pool.state.joints_W.copy(), pool.state.table_contact.copy()]
+    return said
+
+
+@pytest.fixture(scope="module")
+def serial():
+    pool = SerialPool(make_spec(3, ["env.episode_steps=70"]))
+    yield pool
+    pool.close()
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_process_pool_equals_serial_to_the_bit(serial, workers):
+    pool = ProcessPool(make_spec(3, ["env.episode_steps=70"]), workers)
+    try:
+        for mode in ("train", "test"):
+            for ours, reference in zip(_run(pool, mode), _run(serial, mode), strict=True):
+                assert ours.tobytes() == np.ascontiguousarray(reference).tobytes()
+    finally:
+        pool.close()
+
+
+def test_an_epoch_depends_on_nothing_before_it(serial):
+    first = _run(serial)
+    _run(serial, "test")
+    serial.reset(9, "label")
+    for _ in range(30):
+        serial.step(np.zeros((3, 51), np.float32))
+    again = _run(serial)
+    fresh_pool = SerialPool(make_spec(3, ["env.episode_steps=70"]))
+    fresh = _run(fresh_pool)
+    fresh_pool.close()
+    for a, b, c in zip(first, again, fresh, strict=True):
+        assert np.array_equal(a, b) and np.array_equal(a, c)
+
+
+def test_timing_counts_physics(serial):
+    _run(serial)
+    timing = serial.timing()
+    assert 0.0 < timing["physics_s"] <= timing["wall_s"]
+    assert timing["physics_share"] == pytest.approx(timing["physics_s"] / timing["wall_s"], rel=0.2)
+
+
+def test_more_workers_than_labels_are_not_started():
+    pool = ProcessPool(make_spec(1), 4)
+    try:
+        assert pool.timing()["workers"] == 1.0
+    finally:
+        pool.close()
+
+
+def test_a_workers_exception_arrives_with_its_traceback():
+    spec = make_spec(1)
+    broken = type(spec)(spec.labels, spec.hand, {}, spec.config)
+    with pytest.raises(PoolError, match=r"(?s)worker 0 failed.*Traceback.*KeyError: '004_sugar_box'"):
+        ProcessPool(broken, 1)
+
+
+def test_a_killed_worker_is_reported():
+    pool = ProcessPool(make_spec(2), 2)
+    try:
+        pool.reset()
+        os.kill(pool._processes[1].pid, signal.SIGKILL)
+        deadline = time.monotonic() + 20
+        with pytest.raises(PoolError, match=r"worker 1 died \(exit code -9\)"):
+            while time.monotonic() < deadline:
+                pool.step(np.zeros((2, 51), np.float32))
+    finally:
+        pool.close()
+
+
+def test_make_pool_takes_the_configs_kind():
+    pool = make_pool(make_spec(1, ["pool.kind=serial"]))
+    assert isinstance(pool, SerialPool)
+    pool.close()
