@@ -21,11 +21,12 @@ setup: .venv/.installed
 demo: .venv/.installed
 	@$(PY) -m dgrasp.demo
 
-# One thread a process: torch's own threads in two pytest workers would fight for the cores.
+# One thread a process: torch's own threads in two pytest workers would fight for the cores. A file's tests stay in
+# one worker, as they share what is slow to make.
 test: .venv/.installed-dev
 	$(PY) -m ruff check .
 	$(PY) -m mypy
-	OMP_NUM_THREADS=1 $(PY) -m pytest -q -n 2 --dist loadgroup
+	OMP_NUM_THREADS=1 $(PY) -m pytest -q -n 2 --dist loadfile
 
 clean:
 	rm -rf .venv build dist dgrasp.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis

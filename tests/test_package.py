@@ -17,9 +17,6 @@ import pytest
 from tests.imports import ROOT, modules, within
 from tests.reference import reference_or_skip
 
-# One worker runs them all: they share the one wheel that takes seconds to build.
-pytestmark = pytest.mark.xdist_group("package")
-
 PACKAGES = ("dgrasp", "raisim_like")
 BUNDLED = "dgrasp/_bundled/"
 IMPORTED_AS = {"pillow": "PIL", "pyyaml": "yaml"}

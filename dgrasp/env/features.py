@@ -124,3 +124,27 @@ class FeatureLayer:
 def goal_wrist_position_W(state: SceneState, goal: GraspGoal) -> Array:
     """(N, 3): where the label's wrist would be, given where the object is now."""
     return state.object_pos_W + rotate(state.R_WO, goal.joints_O[:, 0])
+
+
+def features_page() -> str:
+    """docs/features.md: what each number of the observations is."""
+    lines = [
+        "# Observations",
+        "",
+        "Written by `python -m dgrasp.env.features > docs/features.md`; a test holds the two together.",
+        "Frames: W world, O object, H wrist, H0 wrist at the start of the episode. Blocks marked *goal* are left",
+        "out with `env.goal_space=false`. Vectors and Euler angles (intrinsic XYZ) are in the frame named.",
+    ]
+    for name in FEATURE_LAYERS:
+        layer = FeatureLayer(name)
+        lines += ["", f"## `env.features={name}`: {layer.size} numbers", ""]
+        lines += ["| numbers | name | frame | unit | |", "|---|---|---|---|---|"]
+        for feature in layer.features:
+            part = layer.slices[feature.name]
+            goal = "goal" if feature.is_goal else ""
+            lines.append(f"| {part.start}:{part.stop} | {feature.name} | {feature.frame} | {feature.unit} | {goal} |")
+    return "\n".join(lines) + "\n"
+
+
+if __name__ == "__main__":
+    print(features_page(), end="")

@@ -1,82 +1,85 @@
-"""Proposals of free grasps: an object at rest on the table, an open hand before it, and the fingers closed on it.
+"""Proposals of free grasps: an open hand before an object at rest on the table, and its fingers closed.
 
-The wrist stays where it was proposed; each finger joint closes until its finger, from there outwards, would
-press deeper into the object than the proposal allows. Everything is computed for many proposals at once.
+The wrist stays where it was proposed; each joint closes until its finger, from there outwards, would press
+deeper into the object than the proposal allows. Everything is computed for many proposals at once.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from dgrasp.hand.free_anatomy import THUMB_PRONATION_DEG, finger_direction
 from dgrasp.hand.model import HandModel
+from dgrasp.hand.skeleton import N_PARTS
 from dgrasp.labels.distance import HandSpheres, hand_bottom, part_distances, part_poses, signed_distance
+from dgrasp.labels.free_rest import place_at_rest
 from dgrasp.objects.free import shape_bounds
 from dgrasp.objects.model import ObjectModel
 from dgrasp.scene.scene import TABLE_TOP
 from dgrasp.types import Array
-from raisim_like.rotations import euler_from_matrix, matrix_from_quaternion, quaternion_from_matrix, transform
-from raisim_like.shapes import Shape
+from raisim_like.rotations import euler_from_matrix, matrix_from_quaternion, rotate, transform
 
 TABLE_CLEARANCE = 0.002
 """m between hand and table at the grasp."""
 LIFT = 0.005
 """m. At the grasp the object is up to this high above its place at rest, as where a hand has just moved it."""
-START_CLEARANCE = 0.03
-"""m between hand and object or table at the start: more than the noise of a training reset moves them."""
+TOUCHING = 0.001
+"""m. A part this close to the object touches it."""
+MIN_OPPOSED = 0.2
+"""Least cosine between the thumb's push and that of the fingers, reversed."""
 
-_LYING_X, _LYING_Y = (math.pi / 2, 0.0, 0.0), (0.0, math.pi / 2, 0.0)
-_UPRIGHT = (0.0, 0.0, 0.0)
-_REST: dict[str, tuple[tuple[float, float, float], ...]] = {
-    "003_cracker_box": (_UPRIGHT, _UPRIGHT, _LYING_Y),
-    "004_sugar_box": (_UPRIGHT, _UPRIGHT, _LYING_Y),
-    "006_mustard_bottle": (_UPRIGHT, _UPRIGHT, _LYING_X),
-    "008_pudding_box": (_UPRIGHT, _UPRIGHT, _LYING_X),
-    "009_gelatin_box": (_UPRIGHT, _UPRIGHT, _LYING_X),
-    "010_potted_meat_can": (_UPRIGHT, _UPRIGHT, _LYING_Y),
-    "021_bleach_cleanser": (_UPRIGHT, _UPRIGHT, _LYING_X),
-    "036_wood_block": (_UPRIGHT, _UPRIGHT, _LYING_X),
-    "040_large_marker": (_LYING_X,),
-    "061_foam_brick": (_UPRIGHT, _LYING_X, _LYING_Y),
-}
-"""Poses at rest as Euler angles, the frequent ones named twice; objects not named here just stand or lie as in O."""
+BENT_SHARE, BENT_DEG = 0.6, (2.0, 8.0)
+"""Share of the grasps whose fingertips are bent back by the object, and by how much beyond the joint's own range.
 
-# Degrees of each closing coordinate: rows open and closed; columns proximal, middle, distal.
-_FINGER_LIMIT_DEG = np.array([95.0, 100.0, 75.0])
-_THUMB_LIMIT_DEG = np.array([50.0, 45.0, 60.0])
+Pads pressed on a surface bend like that in life, and recorded grasps leave the joint limits too. A controller
+that is limited to the range pulls such a finger closed: the grasp then holds without learning."""
+
+_CLOSED_DEG = np.array([[95.0, 100.0, 75.0]] * 4 + [[50.0, 45.0, 60.0]])
+"""Per finger and joint, the most that closing turns it."""
+_DISTAL_Z = np.array([9 * finger + 8 for finger in range(4)])
+_STEPS_DEG = (*[3.0] * 34, *[1.0] * 3, *[0.3] * 4)
 
 
 @dataclass
-class Proposals:
-    """N grasps of one object. T_WO at the grasp; flexion (N, 5, 3) rad closes the joints; side (N, 5) rad turns the
-    fingers sideways and, for the thumb, in front of the palm; approach_W (N, 3) is where the palm faces;
-    press (N,) m is how deep the fingers may press; speed (N, 3) are the relative speeds of the joints."""
+class Grasps:
+    """N grasps of one object; world frame, m, rad.
+
+    T_WH, T_WO (N, 4, 4): at the grasp. T_WO_rest (N, 4, 4): before it. approach_W (N, 3): where the palm faces.
+    flexion, open_flexion (N, 5, 3): how far each joint is closed, at the grasp and before. side (N, 5): the
+    fingers' spread, and how far the thumb stands before the palm. bent (N,): bend of the four fingertips beyond
+    their range, 0 for none. press (N,): how deep fingers may press. speed (N, 3): relative speeds of the joints.
+    """
 
     T_WH: Array
     T_WO: Array
-    rest: Array
+    T_WO_rest: Array
     approach_W: Array
     flexion: Array
+    open_flexion: Array
     side: Array
+    bent: Array
     press: Array
     speed: Array
-    bent: Array
 
-    def take(self, rows: Array) -> Proposals:
-        """The proposals of these rows."""
-        return Proposals(**{name: value[rows] for name, value in vars(self).items()})
+    def take(self, rows: Array) -> Grasps:
+        """The grasps of these rows (indices or a mask)."""
+        return Grasps(**{name: value[rows] for name, value in vars(self).items()})
 
     def __len__(self) -> int:
         return len(self.T_WH)
 
 
-def hand_pose(hand: HandModel, flexion: Array, side: Array, bent: Array) -> Array:
-    """(N, 45) joint angles of flexion (N, 5, 3), side (N, 5) and bent (N,), rad: within the limits but for `bent`."""
+def join(parts: list[Grasps]) -> Grasps:
+    """All grasps in one."""
+    return Grasps(**{name: np.concatenate([vars(part)[name] for part in parts]) for name in vars(parts[0])})
+
+
+def finger_angles(hand: HandModel, flexion: Array, side: Array, bent: Array) -> Array:
+    """(N, 45) joint angles of flexion (N, 5, 3), side (N, 5) and bent (N,); all but the bend within the limits."""
     n = len(flexion)
     angles = np.zeros((n, 5, 3, 3))
     angles[:, :4, 0, 1] = side[:, :4]
@@ -86,158 +89,144 @@ def hand_pose(hand: HandModel, flexion: Array, side: Array, bent: Array) -> Arra
     to_palm /= np.linalg.norm(to_palm)
     across = np.cross(to_palm, bone)
     pronation = math.radians(THUMB_PRONATION_DEG)
-    flex = math.cos(pronation) * to_palm + math.sin(pronation) * across
-    opposed = _turn(to_palm, side[:, 4]) @ _turn(across, flexion[:, 4, 0])
-    angles[:, 4, 0] = euler_from_matrix(opposed)
+    outer = math.cos(pronation) * to_palm + math.sin(pronation) * across
+    angles[:, 4, 0] = euler_from_matrix(_turn(to_palm, side[:, 4]) @ _turn(across, flexion[:, 4, 0]))
     for segment in (1, 2):
-        angles[:, 4, segment] = euler_from_matrix(_turn(flex, flexion[:, 4, segment]))
-    pose = np.clip(angles.reshape(n, 45), hand.limits[6:, 0], hand.limits[6:, 1])
-    pose[:, _DISTAL] -= np.where(flexion[:, :4, 2] < -1.0, bent[:, None], 0.0)
+        angles[:, 4, segment] = euler_from_matrix(_turn(outer, flexion[:, 4, segment]))
+    lower, upper = hand.limits[6:].T
+    pose = np.clip(angles.reshape(n, 45), lower, upper)
+    pose[:, _DISTAL_Z] = np.where(bent[:, None] > 0, lower[_DISTAL_Z] - bent[:, None], pose[:, _DISTAL_Z])
     return pose
-
-
-_DISTAL = np.array([3 * 3 * finger + 8 for finger in range(4)])
 
 
 def _turn(axis: Array, angle: Array) -> Array:
     return Rotation.from_rotvec(angle[:, None] * axis).as_matrix()
 
 
-def place_at_rest(model: ObjectModel, rng: np.random.Generator, n: int) -> Array:
-    """(n, 4, 4) T_WO of the object at rest on the table, each at a random place and yaw."""
-    downs = [Rotation.from_euler("XYZ", pose).as_matrix() for pose in _REST.get(model.name, (_UPRIGHT,))]
-    heights = np.array([TABLE_TOP - lowest(model.shapes, R) for R in downs])
-    chosen = rng.integers(len(downs), size=n)
-    yaw = Rotation.from_rotvec(rng.uniform(-math.pi, math.pi, n)[:, None] * [0.0, 0.0, 1.0]).as_matrix()
-    place = rng.uniform((0.42, 0.10, 0.0), (0.62, 0.35, 0.0), (n, 3))
-    place[:, 2] = heights[chosen]
-    return transform(yaw @ np.array(downs)[chosen], place)
-
-
-def lowest(shapes: Sequence[Shape], R_WO: Array) -> float:
-    """m: height of the lowest point of primitives above their frame's origin (negative), turned by R_WO."""
-    turned = []
-    for shape in shapes:
-        q = quaternion_from_matrix(R_WO @ matrix_from_quaternion(np.array(shape.quaternion)))
-        position = tuple(float(v) for v in R_WO @ np.array(shape.position))
-        turned.append(replace(shape, position=position, quaternion=tuple(float(v) for v in q)))
-    return float(shape_bounds(turned)[0, 2])
-
-
-def propose(hand: HandModel, spheres: HandSpheres, model: ObjectModel, rng: np.random.Generator, n: int) -> Proposals:
-    """Open hands before the object that touch neither it nor the table: those of n random draws that do not."""
+def propose(hand: HandModel, spheres: HandSpheres, model: ObjectModel, rng: np.random.Generator, n: int) -> Grasps:
+    """Open hands close before the object, clear of it and of the table: those of n random draws that are."""
     rest = place_at_rest(model, rng, n)
     T_WO = rest.copy()
     T_WO[:, 2, 3] += rng.uniform(0.0, LIFT, n)
     target_W = _targets(model, T_WO, rng)
-    a, fingers = _directions(model, T_WO, rng)
-    R_WH = np.stack([-fingers, -a, np.cross(fingers, a)], axis=2)
+    approach, fingers = _directions(2.0 * (rest[:, 2, 3] - TABLE_TOP), rng)
+    # Columns: the wrist's axes. Fingers point along -x, the palm faces -y.
+    R_WH = np.stack([-fingers, -approach, np.cross(fingers, approach)], axis=2)
     held_H = rng.uniform((-0.135, -0.085, 0.0), (-0.075, -0.030, 0.030), (n, 3))
-    T_WH = transform(R_WH, target_W - np.matmul(R_WH, held_H[..., None])[..., 0])
-    flexion, side = np.zeros((n, 5, 3)), np.zeros((n, 5))
+    flexion, side = np.empty((n, 5, 3)), np.empty((n, 5))
     flexion[:, :4] = np.radians(rng.uniform((-10, 5, 2), (20, 25, 12), (n, 3)))[:, None]
     flexion[:, 4] = np.radians(rng.uniform((-25, -8, -8), (0, 8, 8), (n, 3)))
-    side[:, :4] = np.radians(rng.uniform(-0.5, 1.0, n))[:, None] * np.array([5.0, 0.0, -4.0, -8.0]) * -1.0
+    side[:, :4] = np.radians(rng.uniform(-0.5, 1.0, n))[:, None] * [-5.0, 0.0, 4.0, 8.0]
     side[:, 4] = np.radians(rng.uniform(5, 45, n))
+    bent = np.where(rng.uniform(size=n) < BENT_SHARE, np.radians(rng.uniform(*BENT_DEG, n)), 0.0)
     speed = np.stack([np.ones(n), rng.uniform(0.3, 1.2, n), rng.uniform(0.2, 0.8, n)], axis=1)
-    bent = np.where(rng.uniform(size=n) < 0.6, np.radians(rng.uniform(2.0, 8.0, n)), 0.0)
-    flexion[bent > 0, :4, 2] = -2.0
-    found = Proposals(T_WH, T_WO, rest, a, flexion, side, rng.uniform(0.0005, 0.005, n), speed, bent)
-    pose = hand_pose(hand, flexion, side, bent)
-    clear = hand_bottom(hand, spheres, T_WH, pose) > TABLE_TOP + TABLE_CLEARANCE
-    clear &= R_WH[:, 2, 2] > -0.35
-    found, pose = found.take(np.flatnonzero(clear)), pose[clear]
-    apart = part_distances(hand, spheres, model.shapes, found.T_WH, pose, found.T_WO).min(axis=1)
-    return found.take(np.flatnonzero((apart > 0.0) & (apart < 0.04)))
+    grasps = Grasps(
+        transform(R_WH, target_W - rotate(R_WH, held_H)), T_WO, rest, approach, flexion, flexion.copy(), side, bent,
+        rng.uniform(0.0005, 0.005, n), speed,
+    )  # fmt: skip
+    # The thumb's side of the hand does not point down: nobody's arm turns like that at a table.
+    grasps = grasps.take(R_WH[:, 2, 2] > -0.35)
+    pose = finger_angles(hand, grasps.flexion, grasps.side, grasps.bent)
+    above = hand_bottom(hand, spheres, grasps.T_WH, pose) > TABLE_TOP + TABLE_CLEARANCE
+    grasps, pose = grasps.take(above), pose[above]
+    apart = part_distances(hand, spheres, model.shapes, grasps.T_WH, pose, grasps.T_WO).min(axis=1)
+    return grasps.take((apart > 0.0) & (apart < 0.04))
 
 
 def _targets(model: ObjectModel, T_WO: Array, rng: np.random.Generator) -> Array:
-    """(N, 3) points of the object to hold: near its middle, or in one of its shapes."""
+    """(N, 3) points to hold: near the object's middle, or in one of its shapes."""
     n = len(T_WO)
     low, high = shape_bounds(model.shapes)
     points = rng.uniform(-0.35, 0.35, (n, 3)) * (high - low)
-    weights = np.array([float(np.prod(_half_sizes(s.kind, s.size))) ** (1 / 3) for s in model.shapes])
-    chosen = rng.choice(len(model.shapes), size=n, p=weights / weights.sum())
-    for i in np.flatnonzero(rng.uniform(size=n) < (0.75 if len(model.shapes) > 1 else 0.0)):
-        shape = model.shapes[chosen[i]]
-        inside = rng.uniform(-0.7, 0.7, 3) * _half_sizes(shape.kind, shape.size)
-        points[i] = matrix_from_quaternion(np.array(shape.quaternion)) @ inside + np.array(shape.position)
-    return np.matmul(T_WO[:, :3, :3], points[..., None])[..., 0] + T_WO[:, :3, 3]
+    halves = [np.array(s.size) / 2 if s.kind == "box" else np.array([s.size[0], s.size[0], s.size[1] / 2])
+              for s in model.shapes]  # fmt: skip
+    weights = np.array([float(np.prod(half)) ** (1 / 3) for half in halves])
+    chosen = rng.choice(len(halves), size=n, p=weights / weights.sum())
+    inside = rng.uniform(-0.7, 0.7, (n, 3))
+    in_shape = rng.uniform(size=n) < (0.75 if len(halves) > 1 else 0.0)
+    for k, shape in enumerate(model.shapes):
+        mine = in_shape & (chosen == k)
+        R = matrix_from_quaternion(np.array(shape.quaternion))
+        points[mine] = (inside[mine] * halves[k]) @ R.T + np.array(shape.position)
+    return rotate(T_WO[:, :3, :3], points) + T_WO[:, :3, 3]
 
 
-def _half_sizes(kind: str, size: tuple[float, ...]) -> Array:
-    return np.array(size) / 2 if kind == "box" else np.array([size[0], size[0], size[1] / 2])
+def _directions(heights: Array, rng: np.random.Generator) -> tuple[Array, Array]:
+    """(N, 3) unit vectors, where the palm faces and where the fingers point, for objects of heights (N,) m.
 
-
-def _directions(model: ObjectModel, T_WO: Array, rng: np.random.Generator) -> tuple[Array, Array]:
-    """(N, 3) unit vectors: where the palm faces, from above or (for tall objects) from the side, and the fingers."""
-    n = len(T_WO)
-    heights = 2.0 * (T_WO[:, 2, 3] - TABLE_TOP)
+    The hand comes from above, and to tall objects also from the side; its fingers point to the side or down.
+    """
+    n = len(heights)
     from_side = rng.uniform(size=n) < np.clip((heights - 0.05) / 0.1, 0.0, 0.6)
     down = np.radians(np.where(from_side, rng.uniform(-10, 45, n), rng.uniform(45, 90, n)))
     azimuth = rng.uniform(-math.pi, math.pi, n)
-    a = np.stack([np.cos(down) * np.cos(azimuth), np.cos(down) * np.sin(azimuth), -np.sin(down)], axis=1)
-    level = np.stack([-np.sin(azimuth), np.cos(azimuth), np.zeros(n)], axis=1)
-    steep = np.cross(level, a)
-    steep *= -np.sign(steep[:, 2:] + 1e-12)
+    ahead = np.stack([np.cos(azimuth), np.sin(azimuth), np.zeros(n)], axis=1)
+    approach = np.cos(down)[:, None] * ahead - np.sin(down)[:, None] * [0.0, 0.0, 1.0]
+    level = np.cross([0.0, 0.0, 1.0], ahead)
+    steep = -np.sin(down)[:, None] * ahead - np.cos(down)[:, None] * [0.0, 0.0, 1.0]
     turn = np.radians(rng.uniform(-20, 75, n))
-    left = rng.choice([-1.0, 1.0], n)
-    fingers = (left * np.cos(turn))[:, None] * level + np.sin(turn)[:, None] * steep
-    # From straight above every direction of the fingers is as good.
-    return a, fingers
+    sign = rng.choice([-1.0, 1.0], n)
+    return approach, (sign * np.cos(turn))[:, None] * level + np.sin(turn)[:, None] * steep
 
 
-def close(hand: HandModel, spheres: HandSpheres, model: ObjectModel, proposals: Proposals) -> None:
+def close(hand: HandModel, spheres: HandSpheres, model: ObjectModel, grasps: Grasps) -> None:
     """Close the fingers on the object, in place."""
-    limits = np.radians(np.stack([_FINGER_LIMIT_DEG] * 4 + [_THUMB_LIMIT_DEG]))
     moving = spheres.parts > 0
     fingers = HandSpheres(spheres.centers[moving], spheres.radii[moving], spheres.parts[moving])
-    for step in (*[3.0] * 34, *[1.0] * 3, *[0.3] * 4):
+    R_OW = np.swapaxes(grasps.T_WO[:, :3, :3], 1, 2)
+    for step in _STEPS_DEG:
         for segment in range(3):
-            trial = proposals.flexion.copy()
-            trial[:, :, segment] += math.radians(step) * proposals.speed[:, None, segment]
-            trial = np.minimum(trial, limits)
-            if segment == 2:
-                trial[proposals.bent > 0, :4, 2] = -2.0
-            pose = hand_pose(hand, trial, proposals.side, proposals.bent)
-            apart = part_distances(hand, fingers, model.shapes, proposals.T_WH, pose, proposals.T_WO)
-            per_finger = apart[:, 1:].reshape(-1, 5, 3)[:, :, segment:].min(axis=2)
-            height = _finger_heights(hand, fingers, proposals.T_WH, pose)[:, :, segment:].min(axis=2)
-            free = (per_finger > -proposals.press[:, None]) & (height > TABLE_TOP + TABLE_CLEARANCE)
-            proposals.flexion[:, :, segment] = np.where(
-                free, trial[:, :, segment], proposals.flexion[:, :, segment]
-            )
+            trial = grasps.flexion.copy()
+            trial[:, :, segment] += math.radians(step) * grasps.speed[:, None, segment]
+            trial = np.minimum(trial, np.radians(_CLOSED_DEG))
+            pose = finger_angles(hand, trial, grasps.side, grasps.bent)
+            centers_W = fingers.place(*part_poses(hand, grasps.T_WH, pose))
+            height = fingers.per_part(centers_W[..., 2])[:, 1:].reshape(-1, 5, 3)[:, :, segment:].min(axis=2)
+            centers_O = np.matmul(centers_W - grasps.T_WO[:, None, :3, 3], np.swapaxes(R_OW, 1, 2))
+            apart = fingers.per_part(signed_distance(model.shapes, centers_O))
+            apart = apart[:, 1:].reshape(-1, 5, 3)[:, :, segment:].min(axis=2)
+            free = (apart > -grasps.press[:, None]) & (height > TABLE_TOP + TABLE_CLEARANCE)
+            grasps.flexion[:, :, segment] = np.where(free, trial[:, :, segment], grasps.flexion[:, :, segment])
 
 
-def _finger_heights(hand: HandModel, fingers: HandSpheres, T_WH: Array, pose: Array) -> Array:
-    centers = fingers.place(*part_poses(hand, T_WH, pose))
-    return fingers.per_part(centers[..., 2])[:, 1:].reshape(-1, 5, 3)
+def grip_quality(hand: HandModel, spheres: HandSpheres, model: ObjectModel, grasps: Grasps) -> Array:
+    """(N,) how promising the grasps are; -inf without the thumb and two fingers on opposite sides of the object.
+
+    Counted are how well thumb and fingers oppose each other, how far bent fingertips would move into the object
+    against the thumb, in mm, and parts that carry the object from below.
+    """
+    distance, normal_W = _nearest(hand, spheres, model, grasps)
+    touching = distance < TOUCHING
+    per_finger = touching[:, 1:].reshape(-1, 5, 3).any(axis=2)
+    thumb = np.take_along_axis(normal_W, 13 + distance[:, 13:].argmin(axis=1)[:, None, None], axis=1)[:, 0]
+    fingers = (normal_W[:, 1:13] * touching[:, 1:13, None]).sum(axis=1)
+    fingers /= np.maximum(np.linalg.norm(fingers, axis=1, keepdims=True), 1e-9)
+    opposed = -(fingers * thumb).sum(axis=1)
+    pulled_in = finger_angles(hand, grasps.flexion, grasps.side, np.minimum(grasps.bent, 1e-9))
+    after = part_distances(hand, spheres, model.shapes, grasps.T_WH, pulled_in, grasps.T_WO)
+    squeeze = 1000.0 * np.clip(np.minimum(distance, 0.0) - after, 0.0, 0.002)[:, 1:13]
+    grip = -(squeeze[:, :, None] * normal_W[:, 1:13]).sum(axis=1) * thumb
+    carried = np.where(touching, -normal_W[:, :, 2], 0.0).max(axis=1)
+    quality = opposed + grip.sum(axis=1) + np.clip(carried, 0.0, 0.7)
+    sound = per_finger[:, 4] & (per_finger[:, :4].sum(axis=1) >= 2) & (opposed > MIN_OPPOSED)
+    return np.where(sound, quality, -np.inf)
 
 
-def pressing_normals(
-    hand: HandModel, spheres: HandSpheres, model: ObjectModel, proposals: Proposals
-) -> tuple[Array, Array]:
-    """(N, 16) distances of the parts, and (N, 16, 3) the object's outward normals where they come closest, frame O."""
-    pose = hand_pose(hand, proposals.flexion, proposals.side, proposals.bent)
-    centers_W = spheres.place(*part_poses(hand, proposals.T_WH, pose))
-    T = proposals.T_WO
-    centers_O = np.matmul(centers_W - T[:, None, :3, 3], T[:, :3, :3])
+def _nearest(hand: HandModel, spheres: HandSpheres, model: ObjectModel, grasps: Grasps) -> tuple[Array, Array]:
+    """(N, 16) distances of the parts, and (N, 16, 3) the object's outward normals where they are nearest, world."""
+    pose = finger_angles(hand, grasps.flexion, grasps.side, grasps.bent)
+    centers_W = spheres.place(*part_poses(hand, grasps.T_WH, pose))
+    R_WO = grasps.T_WO[:, :3, :3]
+    centers_O = np.matmul(centers_W - grasps.T_WO[:, None, :3, 3], R_WO)
     surface = signed_distance(model.shapes, centers_O) - spheres.radii
-    n = len(T)
-    nearest = np.empty((n, 16, 3))
-    distance = np.empty((n, 16))
-    for part in range(16):
+    nearest = np.empty((len(grasps), N_PARTS, 3))
+    for part in range(N_PARTS):
         mine = np.flatnonzero(spheres.parts == part)
-        best = surface[:, mine].argmin(axis=1)
-        distance[:, part] = surface[np.arange(n), mine[best]]
-        nearest[:, part] = centers_O[np.arange(n), mine[best]]
-    step = 1e-4
-    gradient = np.stack(
-        [
-            signed_distance(model.shapes, nearest + step * axis) - signed_distance(model.shapes, nearest - step * axis)
-            for axis in np.eye(3)
-        ],
-        axis=-1,
-    )
-    norm = np.linalg.norm(gradient, axis=-1, keepdims=True)
-    return distance, gradient / np.maximum(norm, 1e-12)
+        best = mine[surface[:, mine].argmin(axis=1)]
+        nearest[:, part] = centers_O[np.arange(len(grasps)), best]
+    h = 1e-4
+    slopes = [signed_distance(model.shapes, nearest + h * e) - signed_distance(model.shapes, nearest - h * e)
+              for e in np.eye(3)]  # fmt: skip
+    normal_O = np.stack(slopes, axis=-1)
+    normal_O /= np.maximum(np.linalg.norm(normal_O, axis=-1, keepdims=True), 1e-12)
+    return spheres.per_part(signed_distance(model.shapes, centers_O)), rotate(R_WO[:, None], normal_O)

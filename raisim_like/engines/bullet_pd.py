@@ -47,7 +47,7 @@ class _Axes:
         zero = np.zeros(n)
         K = np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=-1).reshape(n, 3, 3)
         self.cross, self.cross2 = K, K @ K
-        depth = []
+        depth: list[int] = []
         for link in model.links:
             depth.append(0 if link.parent < 0 else depth[link.parent] + 1)
         parents = np.array([link.parent for link in model.links])

@@ -43,7 +43,14 @@ def make_env(count: int = 1, first: int = 0, overrides: list[str] | None = None,
     """An environment of the labels `first` to `first + count - 1`."""
     labels = [label(first + i) for i in range(count)]
     config: Config = load_config(None, overrides)
-    return GraspEnv(labels, hand(), {"004_sugar_box": box()}, config, first_index=first, **options)
+    return GraspEnv(labels, hand(), {"004_sugar_box": box()}, config, indices=range(first, first + count), **options)
+
+
+def actions(count: int, step: int, first: int = 0) -> Array:
+    """(count, 51) float32 random actions, the same for an environment wherever it stands."""
+    return np.array(
+        [np.random.default_rng([step, first + i]).normal(size=51) for i in range(count)], dtype=np.float32
+    )
 
 
 def random_rotations(n: int, rng: np.random.Generator, largest: float = 1.2) -> Array:

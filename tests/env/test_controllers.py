@@ -86,4 +86,5 @@ def test_who_is_stiff_and_who_carries() -> None:
     firm = [WristHold(ACTION, state), LabelPose(ACTION)]
     assert [(c.kp_position, c.carries) for c in soft] == [(50.0, False)] * 2
     assert [(c.kp_position, c.carries) for c in firm] == [(HOLD_KP_POSITION, True)] * 2 == [(500.0, True)] * 2
-    assert GRASP_CONTROLLERS == {"guidance": WristGuidance, "residual": Residual}
+    by_name = {"guidance": WristGuidance, "residual": Residual}
+    assert by_name == GRASP_CONTROLLERS

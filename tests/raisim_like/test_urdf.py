@@ -142,8 +142,10 @@ BAD = {
     "two roots": (body(extra='<link name="c"/>'), "one root link"),
     "loop of all": (body(extra='<joint name="k" type="fixed"><parent link="b"/><child link="a"/></joint>'),
                     "one root link"),
-    "loop apart": (body(extra='<link name="c"/><joint name="k" type="fixed"><parent link="c"/><child link="c"/></joint>'),
-                   "not connected"),
+    "loop apart": (
+        body(extra='<link name="c"/><joint name="k" type="fixed"><parent link="c"/><child link="c"/></joint>'),
+        "not connected",
+    ),
     "name twice": (body(extra='<link name="b"/>'), "used twice"),
     "too deep": ('<robot name="r"><link name="l0"/>' + "".join(
         f'<link name="l{i}"/><joint name="j{i}" type="fixed"><parent link="l{i - 1}"/><child link="l{i}"/></joint>'

@@ -52,6 +52,21 @@ def test_together_is_the_same_as_alone_to_the_bit() -> None:
         world.close()
 
 
+@pytest.mark.parametrize("value", [np.nan, np.inf, 1e200])
+def test_a_world_that_breaks_leaves_the_others_alone(value: float) -> None:
+    model = read_urdf(URDF_PATH)
+    broken, sound, alone = hand_world(model, 1), hand_world(model, 2), hand_world(model, 2)
+    # Past the checks of `set_generalized_force`, as an unstable simulation would do it.
+    broken[0].engine_world.set_feed_forward(broken[1].id, np.full(51, value))
+    with np.errstate(all="ignore"):
+        integrate([broken[0], sound[0]], 13)
+    alone[0].integrate(13)
+    assert not np.isfinite(broken[1].generalized_coordinate).all() or np.abs(broken[1].generalized_velocity).max() > 50
+    assert numbers(*sound[1:]) == numbers(*alone[1:])
+    for world, _, _ in (broken, sound, alone):
+        world.close()
+
+
 def test_worlds_of_one_process_do_not_know_each_other(tmp_path: Path) -> None:
     path = write_chain(tmp_path / "arm.urdf", 2)
     first, second = World(), World()

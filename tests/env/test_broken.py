@@ -1,0 +1,90 @@
+"""Simulations that break: their episode ends, is reported, and nobody else notices."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from dgrasp.env.grasp_env import MAX_SPEED
+from dgrasp.scene.scene import Scene
+from dgrasp.types import Array
+from tests.env.build import actions, label, make_env
+
+QUICK = ["physics.substeps=2"]
+
+
+class Faulty(Scene):
+    """A scene whose physics can be made to fail once."""
+
+    fault: tuple[str, float] | None = None
+
+    def read(self, gc: Array, gv: Array, impulse: Array, object_state: Array) -> None:
+        super().read(gc, gv, impulse, object_state)
+        if self.fault is not None:
+            where, value = self.fault
+            {"gc": gc, "gv": gv, "object": object_state}[where][8] = value
+            self.fault = None
+
+
+FAULTS = [("gc", np.nan), ("gv", np.inf), ("object", np.nan), ("object", 2 * MAX_SPEED)]
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_a_broken_simulation_ends_its_own_episode(fault: tuple[str, float]) -> None:
+    faulty = make_env(2, first=5, overrides=QUICK, make_scene=Faulty)
+    sound = make_env(2, first=5, overrides=QUICK)
+    faulty.reset(0)
+    sound.reset(0)
+    for t in range(5):
+        if t == 2:
+            faulty.scenes[1].fault = fault  # type: ignore[attr-defined]
+        out, expected = faulty.step(actions(2, t)), sound.step(actions(2, t))
+        assert out.terminated.tolist() == [False, t == 2] and not out.truncated.any()
+        for array in (out.observation, out.final_observation, out.reward, out.reward_terms):
+            assert np.isfinite(array).all()
+        # The other environment notices nothing.
+        assert np.array_equal(out.observation[0], expected.observation[0]) and out.reward[0] == expected.reward[0]
+        if t == 2:
+            assert out.reward[1] == 0.0 and not out.reward_terms[1].any()
+            assert faulty.clock.tolist() == [3, 0]
+            assert np.array_equal(faulty.s.object_pos_W[1], faulty.s.object_start_W[1])
+    (event,) = faulty.events
+    assert "env 6" in event and label(6).name in event and "step 3" in event
+    faulty.close()
+    sound.close()
+
+
+def test_a_world_full_of_nan_is_replaced() -> None:
+    """The engine itself breaks, and keeps NaN wherever it can."""
+    env = make_env(2, overrides=QUICK)
+    env.reset(0)
+    scene = env.scenes[1]
+    scene.world.engine_world.set_feed_forward(scene.hand.id, np.full(51, np.nan))
+    assert env.step(actions(2, 0)).terminated.tolist() == [False, True]
+    assert env.scenes[1] is not scene
+    for t in range(3):
+        out = env.step(actions(2, t))
+        assert not out.terminated.any() and np.isfinite(out.observation).all()
+    assert len(env.events) == 1
+    env.close()
+
+
+def test_a_broken_test_episode_stays_out_until_the_next_reset() -> None:
+    env = make_env(2, overrides=QUICK, make_scene=Faulty)
+    env.reset(0, mode="test")
+    env.step(actions(2, 0))
+    env.scenes[0].fault = ("gc", np.nan)  # type: ignore[attr-defined]
+    assert env.step(actions(2, 1)).terminated.tolist() == [True, False]
+    assert env.alive.tolist() == [False, True]
+    env.remove_table()
+    for t in range(2, 4):
+        out = env.step(actions(2, t))
+        assert not out.terminated.any() and np.isfinite(out.observation).all()
+    assert env.clock.tolist()[1] == 4 and len(env.events) == 1
+    env.reset(0, mode="test")
+    assert env.alive.all()
+    reference = make_env(2, overrides=QUICK)
+    reference.reset(0, mode="test")
+    assert np.array_equal(env.step(actions(2, 0)).observation, reference.step(actions(2, 0)).observation)
+    env.close()
+    reference.close()
