@@ -30,7 +30,7 @@ test: .venv/.installed-dev
 
 clean:
 	rm -rf .venv build dist dgrasp.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
-	find benchmarks dgrasp raisim_like tests -name __pycache__ -prune -exec rm -rf {} +
+	find . -name __pycache__ -prune -exec rm -rf {} +
 
 .venv/.installed: pyproject.toml setup.py constraints.txt
 	@$(PY) -c 'import pip; $(FITS)' 2>/dev/null || { \

@@ -32,15 +32,19 @@ TOUCHING = 0.001
 MIN_OPPOSED = 0.2
 """Least cosine between the thumb's push and that of the fingers, reversed."""
 
-BENT_SHARE, BENT_DEG = 0.6, (2.0, 8.0)
-"""Share of the grasps whose fingertips are bent back by the object, and by how much beyond the joint's own range.
+BENT_SHARE, BENT_DEG = 0.4, (2.0, 8.0)
+SPREAD_SHARE, SPREAD_DEG = 0.6, (2.0, 8.0)
+"""Share of the grasps whose fingertips are bent back, and whose thumb is spread, by the object that they press on,
+and by how much beyond the joint's own range.
 
-Pads pressed on a surface bend like that in life, and recorded grasps leave the joint limits too. A controller
-that is limited to the range pulls such a finger closed: the grasp then holds without learning."""
+Soft hands yield like that in life, and recorded grasps leave the joint limits too. A controller that is limited
+to the range pulls such a joint back and so closes the hand: the grasp may hold without learning."""
 
 _CLOSED_DEG = np.array([[95.0, 100.0, 75.0]] * 4 + [[50.0, 45.0, 60.0]])
 """Per finger and joint, the most that closing turns it."""
 _DISTAL_Z = np.array([9 * finger + 8 for finger in range(4)])
+_THUMB_Y = 37
+_THUMB_SPREAD = math.radians(-26.0)
 _STEPS_DEG = (*[3.0] * 34, *[1.0] * 3, *[0.3] * 4)
 
 
@@ -50,8 +54,8 @@ class Grasps:
 
     T_WH, T_WO (N, 4, 4): at the grasp. T_WO_rest (N, 4, 4): before it. approach_W (N, 3): where the palm faces.
     flexion, open_flexion (N, 5, 3): how far each joint is closed, at the grasp and before. side (N, 5): the
-    fingers' spread, and how far the thumb stands before the palm. bent (N,): bend of the four fingertips beyond
-    their range, 0 for none. press (N,): how deep fingers may press. speed (N, 3): relative speeds of the joints.
+    fingers' spread, and how far the thumb stands before the palm. bent, spread (N,): bend of the four
+    fingertips, and of the thumb's base, beyond their range, 0 for none. press (N,): how deep fingers may press. speed (N, 3): relative speeds of the joints.
     """
 
     T_WH: Array
@@ -62,6 +66,7 @@ class Grasps:
     open_flexion: Array
     side: Array
     bent: Array
+    spread: Array
     press: Array
     speed: Array
 
@@ -78,8 +83,13 @@ def join(parts: list[Grasps]) -> Grasps:
     return Grasps(**{name: np.concatenate([vars(part)[name] for part in parts]) for name in vars(parts[0])})
 
 
-def finger_angles(hand: HandModel, flexion: Array, side: Array, bent: Array) -> Array:
-    """(N, 45) joint angles of flexion (N, 5, 3), side (N, 5) and bent (N,); all but the bend within the limits."""
+def angles_of(hand: HandModel, grasps: Grasps) -> Array:
+    """(N, 45) joint angles at the grasps."""
+    return finger_angles(hand, grasps.flexion, grasps.side, grasps.bent, grasps.spread)
+
+
+def finger_angles(hand: HandModel, flexion: Array, side: Array, bent: Array, spread: Array) -> Array:
+    """(N, 45) joint angles of flexion (N, 5, 3), side (N, 5), bent and spread (N,), which alone leave the limits."""
     n = len(flexion)
     angles = np.zeros((n, 5, 3, 3))
     angles[:, :4, 0, 1] = side[:, :4]
@@ -96,6 +106,7 @@ def finger_angles(hand: HandModel, flexion: Array, side: Array, bent: Array) -> 
     lower, upper = hand.limits[6:].T
     pose = np.clip(angles.reshape(n, 45), lower, upper)
     pose[:, _DISTAL_Z] = np.where(bent[:, None] > 0, lower[_DISTAL_Z] - bent[:, None], pose[:, _DISTAL_Z])
+    pose[:, _THUMB_Y] = np.where(spread > 0, upper[_THUMB_Y] + spread, pose[:, _THUMB_Y])
     return pose
 
 
@@ -119,14 +130,16 @@ def propose(hand: HandModel, spheres: HandSpheres, model: ObjectModel, rng: np.r
     side[:, :4] = np.radians(rng.uniform(-0.5, 1.0, n))[:, None] * [-5.0, 0.0, 4.0, 8.0]
     side[:, 4] = np.radians(rng.uniform(5, 45, n))
     bent = np.where(rng.uniform(size=n) < BENT_SHARE, np.radians(rng.uniform(*BENT_DEG, n)), 0.0)
+    spread = np.where(rng.uniform(size=n) < SPREAD_SHARE, np.radians(rng.uniform(*SPREAD_DEG, n)), 0.0)
+    flexion[spread > 0, 4, 0] = _THUMB_SPREAD
     speed = np.stack([np.ones(n), rng.uniform(0.3, 1.2, n), rng.uniform(0.2, 0.8, n)], axis=1)
     grasps = Grasps(
         transform(R_WH, target_W - rotate(R_WH, held_H)), T_WO, rest, approach, flexion, flexion.copy(), side, bent,
-        rng.uniform(0.0005, 0.005, n), speed,
+        spread, rng.uniform(0.0005, 0.005, n), speed,
     )  # fmt: skip
     # The thumb's side of the hand does not point down: nobody's arm turns like that at a table.
     grasps = grasps.take(R_WH[:, 2, 2] > -0.35)
-    pose = finger_angles(hand, grasps.flexion, grasps.side, grasps.bent)
+    pose = angles_of(hand, grasps)
     above = hand_bottom(hand, spheres, grasps.T_WH, pose) > TABLE_TOP + TABLE_CLEARANCE
     grasps, pose = grasps.take(above), pose[above]
     apart = part_distances(hand, spheres, model.shapes, grasps.T_WH, pose, grasps.T_WO).min(axis=1)
@@ -179,7 +192,8 @@ def close(hand: HandModel, spheres: HandSpheres, model: ObjectModel, grasps: Gra
             trial = grasps.flexion.copy()
             trial[:, :, segment] += math.radians(step) * grasps.speed[:, None, segment]
             trial = np.minimum(trial, np.radians(_CLOSED_DEG))
-            pose = finger_angles(hand, trial, grasps.side, grasps.bent)
+            trial[grasps.spread > 0, 4, 0] = _THUMB_SPREAD
+            pose = finger_angles(hand, trial, grasps.side, grasps.bent, grasps.spread)
             centers_W = fingers.place(*part_poses(hand, grasps.T_WH, pose))
             height = fingers.per_part(centers_W[..., 2])[:, 1:].reshape(-1, 5, 3)[:, :, segment:].min(axis=2)
             centers_O = np.matmul(centers_W - grasps.T_WO[:, None, :3, 3], np.swapaxes(R_OW, 1, 2))
@@ -202,10 +216,10 @@ def grip_quality(hand: HandModel, spheres: HandSpheres, model: ObjectModel, gras
     fingers = (normal_W[:, 1:13] * touching[:, 1:13, None]).sum(axis=1)
     fingers /= np.maximum(np.linalg.norm(fingers, axis=1, keepdims=True), 1e-9)
     opposed = -(fingers * thumb).sum(axis=1)
-    pulled_in = finger_angles(hand, grasps.flexion, grasps.side, np.minimum(grasps.bent, 1e-9))
+    pulled_in = finger_angles(hand, grasps.flexion, grasps.side, np.minimum(grasps.bent, 1e-9), np.minimum(grasps.spread, 1e-9))
     after = part_distances(hand, spheres, model.shapes, grasps.T_WH, pulled_in, grasps.T_WO)
-    squeeze = 1000.0 * np.clip(np.minimum(distance, 0.0) - after, 0.0, 0.002)[:, 1:13]
-    grip = -(squeeze[:, :, None] * normal_W[:, 1:13]).sum(axis=1) * thumb
+    squeeze = 1000.0 * np.clip(np.minimum(distance, 0.0) - after, 0.0, 0.002)[:, :, None] * normal_W
+    grip = -squeeze[:, 1:13].sum(axis=1) * thumb - squeeze[:, 13:].sum(axis=1) * fingers
     carried = np.where(touching, -normal_W[:, :, 2], 0.0).max(axis=1)
     quality = opposed + grip.sum(axis=1) + np.clip(carried, 0.0, 0.7)
     sound = per_finger[:, 4] & (per_finger[:, :4].sum(axis=1) >= 2) & (opposed > MIN_OPPOSED)
@@ -214,7 +228,7 @@ def grip_quality(hand: HandModel, spheres: HandSpheres, model: ObjectModel, gras
 
 def _nearest(hand: HandModel, spheres: HandSpheres, model: ObjectModel, grasps: Grasps) -> tuple[Array, Array]:
     """(N, 16) distances of the parts, and (N, 16, 3) the object's outward normals where they are nearest, world."""
-    pose = finger_angles(hand, grasps.flexion, grasps.side, grasps.bent)
+    pose = angles_of(hand, grasps)
     centers_W = spheres.place(*part_poses(hand, grasps.T_WH, pose))
     R_WO = grasps.T_WO[:, :3, :3]
     centers_O = np.matmul(centers_W - grasps.T_WO[:, None, :3, 3], R_WO)

@@ -23,7 +23,7 @@ from dgrasp.hand.free_hand import HAND_NAME, URDF_PATH
 from dgrasp.hand.model import HandModel, load_hand
 from dgrasp.hand.skeleton import N_DOF
 from dgrasp.labels.distance import CONTACT_DISTANCE, HandSpheres, hand_bottom, part_distances
-from dgrasp.labels.free_grasps import Grasps, close, finger_angles, grip_quality, join, propose
+from dgrasp.labels.free_grasps import Grasps, angles_of, close, finger_angles, grip_quality, join, propose
 from dgrasp.labels.native import write_native
 from dgrasp.objects.catalogue import CATALOGUE, catalogue_object
 from dgrasp.objects.free import free_object
@@ -73,7 +73,7 @@ def make_labels(name: str, count: int, seed: int, hand: HandModel, config: Confi
     rng = np.random.default_rng([seed, catalogue_object(name).id])
     maker = _Maker(hand, HandSpheres.of_hand(hand), model, rng)
     grasps = _ranked(maker, count)
-    labels = _labels(maker, grasps, 3 * count)
+    labels = _labels(maker, grasps, _CHECKED_PER_LABEL * count)
     if len(labels) < count:
         raise ConfigError(f"{name}: found {len(labels)} grasps of {count}; ask for fewer, or change the seed")
     holds = check_holds(labels, hand, model, config)
@@ -92,7 +92,7 @@ def _ranked(maker: _Maker, count: int) -> Grasps:
         grasps = grasps.take(np.arange(len(grasps)) < 2 * _SOUND_PER_LABEL * count)
         close(maker.hand, maker.spheres, maker.model, grasps)
         quality = grip_quality(maker.hand, maker.spheres, maker.model, grasps)
-        pose = finger_angles(maker.hand, grasps.flexion, grasps.side, grasps.bent)
+        pose = angles_of(maker.hand, grasps)
         apart = part_distances(
             maker.hand, maker.spheres, maker.model.shapes, grasps.T_WH, pose, grasps.T_WO
         ).min(axis=1)
@@ -111,8 +111,8 @@ def _labels(maker: _Maker, grasps: Grasps, limit: int) -> list[GraspLabel]:
     """Labels of the first `limit` grasps that have a free start and way."""
     hand = maker.hand
     grasps = grasps.take(np.arange(len(grasps)) < 3 * limit)
-    pose = finger_angles(hand, grasps.flexion, grasps.side, grasps.bent)
-    open_pose = finger_angles(hand, grasps.open_flexion, grasps.side, np.zeros(len(grasps)))
+    pose = angles_of(hand, grasps)
+    open_pose = finger_angles(hand, grasps.open_flexion, grasps.side, *np.zeros((2, len(grasps))))
     starts, free = _starts(maker, grasps, open_pose)
     apart = part_distances(hand, maker.spheres, maker.model.shapes, grasps.T_WH, pose, grasps.T_WO)
     gc = np.concatenate([np.zeros((len(grasps), N_DOF - 45)), pose], axis=1)

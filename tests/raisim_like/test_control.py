@@ -177,6 +177,15 @@ def test_joint_limits_hold(world: World, tmp_path: Path, target: float) -> None:
     assert system.generalized_coordinate[0] == pytest.approx(stopped, abs=1e-9)
 
 
+def test_limits_can_be_left_to_the_targets(world: World, tmp_path: Path) -> None:
+    system = world.add_articulated_system(write_chain(tmp_path / "arm.urdf", limit=0.5), enforce_limits=False)
+    system.set_pd_gains(KP, KD)
+    system.set_pd_target([0.9])
+    world.integrate(400)
+    assert system.generalized_coordinate[0] == pytest.approx(0.9, abs=1e-9)
+    assert system.joint_limits.tolist() == [[-0.5, 0.5]]
+
+
 def test_a_joint_that_starts_beyond_its_limit_is_not_thrown(world: World, tmp_path: Path) -> None:
     system = add(world, write_chain(tmp_path / "arm.urdf", limit=0.5))
     system.set_state([1.5])

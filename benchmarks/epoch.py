@@ -1,0 +1,61 @@
+"""How fast a training epoch is, and how much of it is physics: `python -m benchmarks.epoch --workers 1 2`.
+
+Each row is one epoch as the runner does it (rollout and PPO update) after a warm-up of a few steps.
+Physics is the time inside the engine's own step, over the wall time of all workers, update included.
+"""
+
+from __future__ import annotations
+
+import argparse
+import tempfile
+import time
+from pathlib import Path
+
+import torch
+
+from dgrasp.build import build_pool
+from dgrasp.config import load_config
+from dgrasp.data import resolve
+from dgrasp.rl.runner import Runner
+
+
+def main() -> None:
+    """Print one row per number of workers, and the speed-up over the first."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--workers", type=int, nargs="+", default=[1, 2])
+    parser.add_argument("--epochs", type=int, default=2, help="epochs per row; the first, from rest, is left out")
+    parser.add_argument("overrides", nargs="*", metavar="key=value")
+    arguments = parser.parse_intermixed_args()
+    torch.set_num_threads(1)
+    base = 0.0
+    print(f"{'workers':>7} {'steps/s':>9} {'physics':>8} {'update':>7} {'ratio':>6}")
+    for workers in arguments.workers:
+        config = load_config(
+            None,
+            [*arguments.overrides, f"pool.workers={workers}", f"ppo.epochs={arguments.epochs}", "checkpoint.every=1000"],
+        )
+        choice = resolve(config)
+        pool = build_pool(choice, config)
+        rows: list[dict[str, float]] = []
+        with tempfile.TemporaryDirectory() as folder:
+            runner = Runner(pool, config, Path(folder), choice.stamp())
+            complete = runner._complete
+
+            def keep(epoch, values, log, last=False, rows=rows, complete=complete):  # type: ignore[no-untyped-def]
+                rows.append(values)
+                complete(epoch, values, log, last)
+
+            runner._complete = keep  # type: ignore[method-assign]
+            start = time.perf_counter()
+            runner.learn()
+            seconds = time.perf_counter() - start
+        pool.close()
+        row = rows[-1]
+        speed = row["speed/steps_per_second"]
+        base = base or speed
+        share, update = row["speed/physics_share"], row["speed/update_share"]
+        print(f"{workers:>7} {speed:>9.1f} {share:>8.3f} {update:>7.3f} {speed / base:>6.2f}   ({seconds:.0f} s)", flush=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,209 @@
+"""The free labels that ship, and how they are made."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dgrasp.config import Config
+from dgrasp.errors import ConfigError
+from dgrasp.hand.free_hand import HAND_NAME, URDF_PATH
+from dgrasp.hand.model import HandModel, load_hand
+from dgrasp.labels import make_free
+from dgrasp.labels.distance import HandSpheres, hand_bottom, part_distances, signed_distance
+from dgrasp.labels.free_rest import lowest, place_at_rest
+from dgrasp.labels.make_free import MAX_OVERLAP, START_CLEARANCE, check_holds, main, make_labels, split
+from dgrasp.labels.native import read_native_with_meta
+from dgrasp.objects.catalogue import CATALOGUE
+from dgrasp.objects.free import free_object
+from dgrasp.paths import package_file
+from dgrasp.scene.scene import TABLE_TOP
+from dgrasp.types import GraspLabel
+from raisim_like.shapes import Shape
+
+FILES = {name: package_file(f"data/free/labels/free_{name}.npz") for name in ("train", "test")}
+
+
+@pytest.fixture(scope="module")
+def hand() -> HandModel:
+    return load_hand(URDF_PATH, HAND_NAME)
+
+
+@pytest.fixture(scope="module")
+def shipped() -> list[GraspLabel]:
+    return [label for path in FILES.values() for label in read_native_with_meta(path)[0]]
+
+
+def stack(labels: list[GraspLabel], name: str) -> np.ndarray:
+    return np.array([getattr(label, name) for label in labels])
+
+
+def of_object(labels: list[GraspLabel], name: str) -> list[GraspLabel]:
+    return [label for label in labels if label.object_id == name]
+
+
+# Distances ---------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("shape", "point", "expected"),
+    [
+        (Shape("box", (0.2, 0.4, 0.6)), (0.4, 0.6, 0.1), 0.5),  # 0.3 and 0.4 beyond two faces
+        (Shape("box", (0.2, 0.4, 0.6)), (0.06, 0.0, 0.0), -0.04),
+        (Shape("cylinder", (0.1, 0.4)), (0.0, 0.4, 0.6), 0.5),  # 0.3 from the mantle, 0.4 above the end
+        (Shape("cylinder", (0.1, 0.4)), (0.0, 0.02, 0.17), -0.03),
+        (Shape("capsule", (0.1, 0.4)), (0.3, 0.0, 0.6), 0.4),  # 0.5 from the end of its axis
+        (Shape("sphere", (0.1,), position=(0.0, 0.0, 1.0)), (0.0, 0.0, 0.5), 0.4),
+        # Turned by a quarter about x: its axis lies along y.
+        (Shape("capsule", (0.1, 0.4), quaternion=(0.5**0.5, 0.5**0.5, 0.0, 0.0)), (0.0, 0.5, 0.0), 0.2),
+    ],
+)
+def test_signed_distance(shape: Shape, point: tuple[float, float, float], expected: float) -> None:
+    assert signed_distance([shape], np.array([[point]])) == pytest.approx(np.array([[expected]]), abs=1e-12)
+    far = Shape("sphere", (0.1,), position=(9.0, 9.0, 9.0))
+    assert signed_distance([far, shape], np.array(point)) == pytest.approx(expected, abs=1e-12)
+
+
+def test_distance_to_a_mesh_is_refused() -> None:
+    with pytest.raises(ValueError, match="hull"):
+        signed_distance([Shape("hull", file=Path("a.obj"))], np.zeros((1, 3)))
+
+
+def test_hand_parts_against_a_table_like_box(hand: HandModel) -> None:
+    # The palm faces -y and its inner face is 18 mm from the wrist's axis; the flat hand's middle fingertip has
+    # a radius of 7.5 mm. The box's face stands at y = -20 mm.
+    box = [Shape("box", (2.0, 2.0, 2.0), position=(0.0, -1.02, 0.0))]
+    T = np.eye(4)[None]
+    distance = part_distances(hand, HandSpheres.of_hand(hand), box, T, np.zeros((1, 45)), T)[0]
+    assert distance[6] == pytest.approx(0.0125, abs=1e-6)
+    assert distance[0] < 0.002
+    moved = np.eye(4)[None].copy()
+    moved[0, :3, 3] = 1.0, 2.0, 3.0
+    again = part_distances(hand, HandSpheres.of_hand(hand), box, moved, np.zeros((1, 45)), moved)[0]
+    assert again == pytest.approx(distance, abs=1e-12)
+
+
+# Objects at rest -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", [entry.name for entry in CATALOGUE])
+def test_objects_rest_on_the_table(name: str) -> None:
+    model = free_object(name, "ycb", True)
+    for T in place_at_rest(model, np.random.default_rng(0), 8):
+        assert T[2, 3] + lowest(model.shapes, T[:3, :3]) == pytest.approx(TABLE_TOP, abs=1e-12)
+
+
+def test_lowest_point_of_a_tilted_box() -> None:
+    c = 0.5**0.5
+    R = np.array([[1.0, 0.0, 0.0], [0.0, c, -c], [0.0, c, c]])
+    assert lowest([Shape("box", (1.0, 0.2, 0.4))], R) == pytest.approx(-c * 0.3)
+
+
+# The labels that ship --------------------------------------------------------------------------------
+
+
+def test_counts_and_description() -> None:
+    for name, count in (("train", 376), ("test", 124)):
+        labels, meta = read_native_with_meta(FILES[name])
+        assert len(labels) == count
+        assert (meta["hand"], meta["licence"], meta["sources"]) == ("free", "MIT", ["free"])
+        assert meta["objects"] == [entry.name for entry in CATALOGUE]
+        for entry in CATALOGUE:
+            mine = of_object(labels, entry.name)
+            assert len(mine) in ((18, 19) if name == "train" else (6, 7))
+            assert [label.index for label in mine] == list(range(len(mine)))
+    assert sum(path.stat().st_size for path in FILES.values()) < 1_000_000
+
+
+def test_no_grasp_comes_twice(shipped: list[GraspLabel]) -> None:
+    assert len(np.unique(stack(shipped, "hand_pose"), axis=0)) == len(shipped)
+
+
+def test_key_points_follow_from_the_pose(shipped: list[GraspLabel], hand: HandModel) -> None:
+    pose, T = stack(shipped, "hand_pose"), stack(shipped, "T_WH")
+    _, joints = hand.forward(np.concatenate([np.zeros((len(pose), 6)), pose], axis=1), T[:, :3, :3], T[:, :3, 3])
+    assert np.abs(joints - stack(shipped, "joints_W")).max() < 1e-9
+
+
+def test_angles_leave_the_limits_by_little(shipped: list[GraspLabel], hand: HandModel) -> None:
+    pose = stack(shipped, "hand_pose")
+    lower, upper = hand.limits[6:].T
+    beyond = np.maximum(lower - pose, pose - upper)
+    assert beyond.max() <= np.radians(8.0) + 1e-9
+    assert (beyond.max(axis=1) <= 1e-9).any()
+    start = np.array([label.start.hand_pose for label in shipped if label.start is not None])
+    assert len(start) == len(shipped)
+    assert np.maximum(lower - start, start - upper).max() <= 1e-9
+
+
+@pytest.mark.parametrize("name", [entry.name for entry in CATALOGUE])
+def test_hand_object_and_table(name: str, shipped: list[GraspLabel], hand: HandModel) -> None:
+    labels, model, spheres = of_object(shipped, name), free_object(name, "ycb", True), HandSpheres.of_hand(hand)
+    T_WH, T_WO, pose = (stack(labels, key) for key in ("T_WH", "T_WO", "hand_pose"))
+    starts = [label.start for label in labels if label.start is not None]
+    assert len(starts) == len(labels)
+    T_WO_rest = np.array([start.T_WO for start in starts])
+    for T in (*T_WO, *T_WO_rest):
+        assert -1e-9 <= T[2, 3] + lowest(model.shapes, T[:3, :3]) - TABLE_TOP <= 0.005 + 1e-9
+    assert np.abs(T_WO[:, :2] - T_WO_rest[:, :2]).max() < 1e-12
+    distance = part_distances(hand, spheres, model.shapes, T_WH, pose, T_WO)
+    contacts = stack(labels, "goal_contacts")
+    np.testing.assert_array_equal(contacts, distance < 0.015)
+    assert (contacts[:, 13:].any(axis=1) & contacts[:, 1:13].any(axis=1)).all()
+    assert distance.min() > -MAX_OVERLAP
+    assert hand_bottom(hand, spheres, T_WH, pose).min() > TABLE_TOP
+    start_WH, start_pose = np.array([s.T_WH for s in starts]), np.array([s.hand_pose for s in starts])
+    assert hand_bottom(hand, spheres, start_WH, start_pose).min() > TABLE_TOP + START_CLEARANCE
+    clear = part_distances(hand, spheres, model.shapes, start_WH, start_pose, T_WO_rest)
+    assert clear.min() > START_CLEARANCE
+    drawn_back = np.linalg.norm(start_WH[:, :3, 3] - T_WH[:, :3, 3], axis=1)
+    assert drawn_back.min() > 0.0999 and drawn_back.max() < 0.1501
+
+
+def test_some_grasps_hold_and_some_do_not(shipped: list[GraspLabel]) -> None:
+    _, meta = read_native_with_meta(FILES["train"])
+    held = meta["provenance"]["hold_in_train_and_test"]
+    assert 0.2 < sum(held.values()) / len(shipped) < 0.5
+
+
+# Making them ---------------------------------------------------------------------------------------
+
+
+def same(a: GraspLabel, b: GraspLabel) -> bool:
+    assert a.start is not None and b.start is not None
+    pairs = [(getattr(a, k), getattr(b, k)) for k in ("hand_pose", "T_WH", "T_WO", "joints_W", "goal_contacts")]
+    pairs += [(getattr(a.start, k), getattr(b.start, k)) for k in ("hand_pose", "T_WH", "T_WO")]
+    return all(np.array_equal(x, y) for x, y in pairs)
+
+
+def test_same_seed_same_labels(hand: HandModel, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(make_free, "HOLD_STEPS", 12)
+    first, held = make_labels("061_foam_brick", 2, 7, hand, Config())
+    second, held_again = make_labels("061_foam_brick", 2, 7, hand, Config())
+    assert len(first) == 2 and np.array_equal(held, held_again)
+    assert all(same(a, b) for a, b in zip(first, second, strict=True))
+
+
+def test_an_object_beside_the_hand_falls(hand: HandModel, shipped: list[GraspLabel]) -> None:
+    label = of_object(shipped, "061_foam_brick")[0]
+    T = label.T_WH.copy()
+    T[:3, 3] += 0.0, 0.0, 1.0
+    far = GraspLabel(**{**vars(label), "T_WH": T})
+    model = free_object(label.object_id, "official", True)
+    # From 0.25 m a body falls for 0.23 s, which is 8 control steps.
+    assert not check_holds([far], hand, model, Config()).any()
+
+
+def test_split_is_proportional_and_renumbered(shipped: list[GraspLabel]) -> None:
+    lists = [shipped[:25], shipped[25:50], shipped[50:75]]
+    train, test = split(lists, 20, seed=1)
+    assert (len(train), len(test)) == (55, 20)
+    assert sorted([label.index for label in test]) == sorted([*range(7), *range(7), *range(6)])
+
+
+@pytest.mark.parametrize("options", [["--train", "375"], ["--train", "10", "--test", "10"], ["--seed", "-1"]])
+def test_impossible_numbers_are_refused(tmp_path: Path, options: list[str]) -> None:
+    with pytest.raises(ConfigError, match="multiple"):
+        main(["--out", str(tmp_path), *options])
