@@ -32,7 +32,10 @@ def main() -> None:
     for workers in arguments.workers:
         config = load_config(
             None,
-            [*arguments.overrides, f"pool.workers={workers}", f"ppo.epochs={arguments.epochs}", "checkpoint.every=1000"],
+            [
+                *arguments.overrides, f"pool.workers={workers}", f"ppo.epochs={arguments.epochs}",
+                "checkpoint.every=1000",
+            ],
         )
         choice = resolve(config)
         pool = build_pool(choice, config)
@@ -54,7 +57,7 @@ def main() -> None:
         speed = row["speed/steps_per_second"]
         base = base or speed
         share, update = row["speed/physics_share"], row["speed/update_share"]
-        print(f"{workers:>7} {speed:>9.1f} {share:>8.3f} {update:>7.3f} {speed / base:>6.2f}   ({seconds:.0f} s)", flush=True)
+        print(f"{workers:>7} {speed:>9.1f} {share:>8.3f} {update:>7.3f} {speed / base:>6.2f}   ({seconds:.0f} s)")
 
 
 if __name__ == "__main__":

@@ -44,7 +44,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The options of `train`."""
     parser.add_argument("--cfg", type=Path, metavar="FILE", help="experiment, such as cfg/dexycb.yaml")
     parser.add_argument("--run", type=Path, metavar="DIR", help="run directory (default: runs/NAME_K, a new one)")
-    parser.add_argument("--data", metavar="free|DIR", help="the free set, or a folder laid out like the authors' release")
+    parser.add_argument("--data", metavar="free|DIR", help="the free set, or a folder like the authors' release")
     parser.add_argument("--resume", type=Path, metavar="DIR", help="continue the run in DIR from its last checkpoint")
     parser.add_argument("overrides", nargs="*", metavar="key=value", help="config keys, such as ppo.epochs=100 seed=3")
 
@@ -94,8 +94,8 @@ def _saved_config(run_dir: Path, arguments: argparse.Namespace) -> Config:
 def next_run(name: str) -> Path:
     """runs/NAME_K with the first K that is free."""
     root = Path("runs")
-    taken = [int(m.group(1)) for p in root.glob(f"{name}_*") if (m := re.fullmatch(rf"{re.escape(name)}_(\d+)", p.name))]
-    return root / f"{name}_{max(taken, default=0) + 1}"
+    matches = (re.fullmatch(rf"{re.escape(name)}_(\d+)", path.name) for path in root.glob(f"{name}_*"))
+    return root / f"{name}_{max((int(m.group(1)) for m in matches if m), default=0) + 1}"
 
 
 def start_run(run_dir: Path, config: Config, choice: DataChoice) -> None:

@@ -31,7 +31,7 @@ def make_label(hand: HandModel, object_id: str = "004_sugar_box", index: int = 0
     T_WO = transform(np.eye(3), np.array([0.5, 0.2, 0.5 + 0.0875]))
     contacts = np.zeros(N_PARTS, bool)
     contacts[[3, 15]] = True
-    start = StartPose(transform(R, wrist + [0.0, 0.0, 0.1]), T_WO, np.zeros(45))
+    start = StartPose(transform(R, wrist + np.array([0.0, 0.0, 0.1])), T_WO, np.zeros(45))
     return GraspLabel(object_id, pose, transform(R, wrist), T_WO, joints[0], contacts, start, "free", "test", index)
 
 

@@ -6,6 +6,7 @@ the target is q_b + sigma * a, clipped to the joint limits.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Protocol
 
 import numpy as np
@@ -98,5 +99,8 @@ class LabelPose:
         out[:, 6:] = goal.hand_pose
 
 
-GRASP_CONTROLLERS = {"guidance": WristGuidance, "residual": Residual}
+GRASP_CONTROLLERS: dict[str, Callable[[ActionConfig], Controller]] = {
+    "guidance": WristGuidance,
+    "residual": Residual,
+}
 """By the name in `env.wrist`."""

@@ -94,6 +94,7 @@ class GraspEnv:
         self.control: Controller = GRASP_CONTROLLERS[env.wrist](env.action)
         self.alive = np.ones(n, bool)
         self.clock = np.zeros(n, int)
+        self._retired_seconds = 0.0
 
     def _new_scene(self, i: int) -> Scene:
         model = self.objects[self.labels[i].object_id]
@@ -107,7 +108,7 @@ class GraspEnv:
     @property
     def step_seconds(self) -> float:
         """Wall seconds spent inside the engine's step so far."""
-        return sum(scene.world.engine_world.step_seconds for scene in self.scenes)
+        return self._retired_seconds + sum(scene.world.engine_world.step_seconds for scene in self.scenes)
 
     # Reset -------------------------------------------------------------------------------------
 
@@ -129,6 +130,7 @@ class GraspEnv:
 
     def _rebuild(self, i: int) -> None:
         """A world that exploded keeps its NaNs; only a new one is clean."""
+        self._retired_seconds += self.scenes[i].world.engine_world.step_seconds
         self.scenes[i].close()
         self.scenes[i] = self._new_scene(i)
 
@@ -149,10 +151,9 @@ class GraspEnv:
         s.R_WH0[i], s.wrist_start_W[i] = start.T_WH[:3, :3], start.T_WH[:3, 3]
         s.object_start_W[i] = start.T_WO[:3, 3]
         s.table_height_W[i] = TABLE_TOP
-        s.contact_impulse[i] = 0.0
         s.table_contact[i] = 0.0
         self._engine_state(i)
-        s.contact_impulse[i] = 0.0  # A world just placed still reports the contacts of its last step.
+        s.contact_impulse[i] = 0.0
         self.clock[i] = 0
 
     def _with_noise(self, start: StartPose, rng: np.random.Generator) -> StartPose:
@@ -172,21 +173,23 @@ class GraspEnv:
         self._target += self.control.sigma * actions
         np.clip(self._target, self._limits[0], self._limits[1], out=self._target)
         self._advance()
+        self.clock += self.alive
         broken = self._broken()
+        if broken.any():
+            self._bury(np.flatnonzero(broken))
         self._derive(slice(None))
         r = relations(self.s, self.goal)
         self.reward(self.s, self.goal, r, self.o.reward_terms, self.o.reward)
         self.layer(self.s, self.goal, r, self.o.observation)
-        self.clock += self.alive
+        # A broken episode ends with nothing gained, and is already placed anew.
+        self.o.reward[broken], self.o.reward_terms[broken] = 0.0, 0.0
+        self.o.final_observation[broken] = self.o.observation[broken]
         self.o.terminated[:] = broken
         self.o.truncated[:] = False
-        if broken.any():
-            self._bury(np.flatnonzero(broken))
         if self.mode == "train":
             self.o.truncated[:] = ~broken & (self.clock >= self.config.env.episode_steps)
-            ended = np.flatnonzero(broken | self.o.truncated)
-            if len(ended):
-                self._restart(ended)
+            if self.o.truncated.any():
+                self._restart(np.flatnonzero(self.o.truncated))
         return self.o
 
     def remove_table(self) -> None:
@@ -199,11 +202,12 @@ class GraspEnv:
     def _advance(self) -> None:
         """The physics of one control step, for the worlds that have not exploded."""
         worlds = []
-        for i in np.flatnonzero(self.alive):
+        rows = np.flatnonzero(self.alive).tolist()
+        for i in rows:
             self.scenes[i].set_target(self._target[i])
             worlds.append(self.scenes[i].world)
         integrate(worlds, self.config.physics.substeps)
-        for i in np.flatnonzero(self.alive):
+        for i in rows:
             self._engine_state(i)
             if self.mode != "train":
                 self.s.table_contact[i] = self.scenes[i].touches_table()
@@ -238,8 +242,8 @@ class GraspEnv:
         return self.alive & ~sane
 
     def _bury(self, ids: Array) -> None:
-        """End broken episodes: report them, and keep what they left out of observation and reward."""
-        for i in ids:
+        """Report broken episodes and place them anew, before anything is computed from what broke."""
+        for i in ids.tolist():
             label = self.labels[i]
             self.events.append(
                 f"unstable simulation ended an episode: env {self.indices[i]}, label {label.name}, "
@@ -248,17 +252,11 @@ class GraspEnv:
             self._rebuild(i)
             self._place(i)
             self.alive[i] = self.mode == "train"
-        self._derive(ids)
-        # The state that broke has no value to learn from: the episode ends with nothing gained.
-        self.o.reward[ids], self.o.reward_terms[ids] = 0.0, 0.0
-        self._observe(self.o.observation)
-        self.o.final_observation[ids] = self.o.observation[ids]
 
     def _restart(self, ids: Array) -> None:
         """Same-step autoreset of ended episodes; `final_observation` keeps how they ended."""
-        timed_out = ids[~self.o.terminated[ids]]
-        self.o.final_observation[timed_out] = self.o.observation[timed_out]
-        for i in timed_out:
+        self.o.final_observation[ids] = self.o.observation[ids]
+        for i in ids:
             self._place(i)
         self._derive(ids)
         self._observe(self.o.observation)

@@ -91,7 +91,7 @@ class GraspGymEnv(gymnasium.Env[Array, Array]):
         """The physical state behind the observation, one row."""
         return self._pool.state
 
-    def render(self) -> Array | None:  # type: ignore[override]
+    def render(self) -> Array | None:
         if self.render_mode is None:
             return None
         return render_state(self._pool.state, 0, self._spec)
@@ -122,7 +122,7 @@ class GraspVectorEnv(gymnasium.vector.VectorEnv[Array, Array, Array]):
         self.action_space = gymnasium.vector.utils.batch_space(self.single_action_space, num_envs)
         self.render_mode = None
 
-    def reset(  # type: ignore[override]
+    def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Array, dict[str, Any]]:
         super().reset(seed=seed)

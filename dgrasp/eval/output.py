@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import json
+from collections.abc import Collection
 from pathlib import Path
 
 from rich.console import Console
@@ -26,14 +27,19 @@ _TITLES = {
     "interpenetration_cm3": ("interpen. cm3", "{:.2f}"),
 }
 
+_FILES_ALONE = ("sim_dist_mm_per_s", "sim_dist_wrist_mm_per_step")
+
 
 def print_table(result: Result, console: Console | None = None) -> None:
-    """The result as a table, ours beside the paper's where they compare, else a line that says they do not."""
+    """The result as a table, ours beside the paper's where they compare, else a line that says they do not.
+
+    It fits 80 columns, so SimDist is shown in the tables' unit alone; the files hold all metrics.
+    """
     console = console or Console()
-    header, rows = table_cells(result)
-    table = Table(title=escape(title(result)), show_footer=False)
+    header, rows = table_cells(result, skip=_FILES_ALONE)
+    table = Table(title=escape(title(result)), title_justify="left", show_footer=False)
     for i, name in enumerate(header):
-        table.add_column(escape(name), justify="left" if i == 0 else "right")
+        table.add_column(escape(name), justify="left" if i == 0 else "right", no_wrap=i == 0)
     for i, row in enumerate(rows):
         table.add_row(*(escape(cell) for cell in row), end_section=i == len(rows) - 3)
     console.print(table)
@@ -60,10 +66,10 @@ def remarks(result: Result) -> list[str]:
     return [*lines, "; ".join([*used, f"seed {result.seed}", f"code {result.commit}"])]
 
 
-def table_cells(result: Result) -> tuple[list[str], list[list[str]]]:
+def table_cells(result: Result, skip: Collection[str] = ()) -> tuple[list[str], list[list[str]]]:
     """Header and rows of the table as text: objects, then the means over objects and over labels."""
     metrics = [*_TITLES, *(m for m in result.mean_over_labels if m not in _TITLES)]
-    metrics = [m for m in metrics if m in result.mean_over_labels]
+    metrics = [m for m in metrics if m in result.mean_over_labels and m not in skip]
     paper = result.paper or {}
     header = ["object", "n"]
     for metric in metrics:

@@ -28,33 +28,39 @@ def signed_distance(shapes: Sequence[Shape], points_O: Array) -> Array:
 
     Exact outside; inside the union it is the depth in the deepest primitive.
     """
-    flat = points_O.reshape(-1, 3)
-    best = np.full(len(flat), np.inf)
+    # One row per coordinate: numpy reduces short last axes slowly.
+    rows = points_O.reshape(-1, 3).T
+    best = np.full(rows.shape[1], np.inf)
     for shape in shapes:
-        local = np.abs((flat - np.array(shape.position)) @ matrix_from_quaternion(np.array(shape.quaternion)))
+        R = matrix_from_quaternion(np.array(shape.quaternion))
+        x, y, z = np.abs(R.T @ rows - (R.T @ np.array(shape.position))[:, None])
         if shape.kind == "box":
-            distance = _extended(local - np.array(shape.size) / 2)
+            a, b, c = shape.size
+            distance = _beyond(x - a / 2, y - b / 2, z - c / 2)
         elif shape.kind == "cylinder":
             radius, length = shape.size
-            radial = np.sqrt(local[:, 0] ** 2 + local[:, 1] ** 2) - radius
-            distance = _extended(np.stack([radial, local[:, 2] - length / 2], axis=1))
+            distance = _beyond(np.sqrt(x * x + y * y) - radius, z - length / 2)
         elif shape.kind == "capsule":
             radius, length = shape.size
-            local[:, 2] = np.maximum(local[:, 2] - length / 2, 0.0)
-            distance = np.sqrt((local**2).sum(axis=1)) - radius
+            z = np.maximum(z - length / 2, 0.0)
+            distance = np.sqrt(x * x + y * y + z * z) - radius
         elif shape.kind == "sphere":
-            distance = np.sqrt((local**2).sum(axis=1)) - shape.size[0]
+            distance = np.sqrt(x * x + y * y + z * z) - shape.size[0]
         else:
             raise ValueError(f"the distance to a {shape.kind} needs its file; expected a primitive")
         np.minimum(best, distance, out=best)
     return best.reshape(points_O.shape[:-1])
 
 
-def _extended(excess: Array) -> Array:
+def _beyond(*excess: Array) -> Array:
     """Distance to a product of intervals, from how far each coordinate lies beyond its interval."""
-    outside = np.sqrt((np.maximum(excess, 0.0) ** 2).sum(axis=1))
-    inside: Array = np.minimum(excess.max(axis=1), 0.0)
-    return outside + inside
+    squares = np.zeros_like(excess[0])
+    deepest = excess[0]
+    for coordinate in excess:
+        squares += np.maximum(coordinate, 0.0) ** 2
+        deepest = np.maximum(deepest, coordinate)
+    distance: Array = np.sqrt(squares) + np.minimum(deepest, 0.0)
+    return distance
 
 
 @dataclass(frozen=True)
@@ -79,6 +85,10 @@ class HandSpheres:
                 radii.append(np.full(len(local), radius))
                 parts.append(np.full(len(local), part))
         return cls(np.concatenate(centers), np.concatenate(radii), np.concatenate(parts))
+
+    def take(self, rows: Array) -> HandSpheres:
+        """The spheres of these rows (a mask)."""
+        return HandSpheres(self.centers[rows], self.radii[rows], self.parts[rows])
 
     def place(self, R: Array, t: Array) -> Array:
         """(N, P, 3) centres for part poses R (N, 16, 3, 3), t (N, 16, 3)."""

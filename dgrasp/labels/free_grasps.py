@@ -7,7 +7,7 @@ deeper into the object than the proposal allows. Everything is computed for many
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -45,7 +45,7 @@ _CLOSED_DEG = np.array([[95.0, 100.0, 75.0]] * 4 + [[50.0, 45.0, 60.0]])
 _DISTAL_Z = np.array([9 * finger + 8 for finger in range(4)])
 _THUMB_Y = 37
 _THUMB_SPREAD = math.radians(-26.0)
-_STEPS_DEG = (*[3.0] * 34, *[1.0] * 3, *[0.3] * 4)
+_STEPS_DEG = (*[4.0] * 25, *[1.0] * 4, *[0.3] * 4)
 
 
 @dataclass
@@ -54,8 +54,9 @@ class Grasps:
 
     T_WH, T_WO (N, 4, 4): at the grasp. T_WO_rest (N, 4, 4): before it. approach_W (N, 3): where the palm faces.
     flexion, open_flexion (N, 5, 3): how far each joint is closed, at the grasp and before. side (N, 5): the
-    fingers' spread, and how far the thumb stands before the palm. bent, spread (N,): bend of the four
-    fingertips, and of the thumb's base, beyond their range, 0 for none. press (N,): how deep fingers may press. speed (N, 3): relative speeds of the joints.
+    fingers' spread, and how far the thumb stands before the palm. bent, spread (N,): how far the four fingertips
+    and the thumb's base are beyond their ranges, 0 for within. press (N,): how deep fingers may press.
+    speed (N, 3): relative speeds of the joints.
     """
 
     T_WH: Array
@@ -142,6 +143,9 @@ def propose(hand: HandModel, spheres: HandSpheres, model: ObjectModel, rng: np.r
     pose = angles_of(hand, grasps)
     above = hand_bottom(hand, spheres, grasps.T_WH, pose) > TABLE_TOP + TABLE_CLEARANCE
     grasps, pose = grasps.take(above), pose[above]
+    coarse = spheres.take(np.arange(len(spheres.parts)) % 6 == 0)
+    apart = part_distances(hand, coarse, model.shapes, grasps.T_WH, pose, grasps.T_WO).min(axis=1)
+    grasps, pose = grasps.take(apart > 0.0), pose[apart > 0.0]
     apart = part_distances(hand, spheres, model.shapes, grasps.T_WH, pose, grasps.T_WO).min(axis=1)
     return grasps.take((apart > 0.0) & (apart < 0.04))
 
@@ -184,9 +188,8 @@ def _directions(heights: Array, rng: np.random.Generator) -> tuple[Array, Array]
 
 def close(hand: HandModel, spheres: HandSpheres, model: ObjectModel, grasps: Grasps) -> None:
     """Close the fingers on the object, in place."""
-    moving = spheres.parts > 0
-    fingers = HandSpheres(spheres.centers[moving], spheres.radii[moving], spheres.parts[moving])
-    R_OW = np.swapaxes(grasps.T_WO[:, :3, :3], 1, 2)
+    # A joint moves the parts from its own outwards.
+    outwards = [spheres.take((spheres.parts > 0) & ((spheres.parts - 1) % 3 >= segment)) for segment in range(3)]
     for step in _STEPS_DEG:
         for segment in range(3):
             trial = grasps.flexion.copy()
@@ -194,13 +197,19 @@ def close(hand: HandModel, spheres: HandSpheres, model: ObjectModel, grasps: Gra
             trial = np.minimum(trial, np.radians(_CLOSED_DEG))
             trial[grasps.spread > 0, 4, 0] = _THUMB_SPREAD
             pose = finger_angles(hand, trial, grasps.side, grasps.bent, grasps.spread)
-            centers_W = fingers.place(*part_poses(hand, grasps.T_WH, pose))
-            height = fingers.per_part(centers_W[..., 2])[:, 1:].reshape(-1, 5, 3)[:, :, segment:].min(axis=2)
-            centers_O = np.matmul(centers_W - grasps.T_WO[:, None, :3, 3], np.swapaxes(R_OW, 1, 2))
-            apart = fingers.per_part(signed_distance(model.shapes, centers_O))
-            apart = apart[:, 1:].reshape(-1, 5, 3)[:, :, segment:].min(axis=2)
+            moved = outwards[segment]
+            centers_W = moved.place(*part_poses(hand, grasps.T_WH, pose))
+            centers_O = np.matmul(centers_W - grasps.T_WO[:, None, :3, 3], grasps.T_WO[:, :3, :3])
+            height = _lowest_of_fingers(moved.per_part(centers_W[..., 2]))
+            apart = _lowest_of_fingers(moved.per_part(signed_distance(model.shapes, centers_O)))
             free = (apart > -grasps.press[:, None]) & (height > TABLE_TOP + TABLE_CLEARANCE)
             grasps.flexion[:, :, segment] = np.where(free, trial[:, :, segment], grasps.flexion[:, :, segment])
+
+
+def _lowest_of_fingers(per_part: Array) -> Array:
+    """(N, 5) least value of each finger's parts, from (N, 16)."""
+    lowest: Array = per_part[:, 1:].reshape(-1, 5, 3).min(axis=2)
+    return lowest
 
 
 def grip_quality(hand: HandModel, spheres: HandSpheres, model: ObjectModel, grasps: Grasps) -> Array:
@@ -210,13 +219,14 @@ def grip_quality(hand: HandModel, spheres: HandSpheres, model: ObjectModel, gras
     against the thumb, in mm, and parts that carry the object from below.
     """
     distance, normal_W = _nearest(hand, spheres, model, grasps)
-    touching = distance < TOUCHING
-    per_finger = touching[:, 1:].reshape(-1, 5, 3).any(axis=2)
+    touching: Array = distance < TOUCHING
+    per_finger = np.asarray(touching[:, 1:].reshape(-1, 5, 3).any(axis=2))
     thumb = np.take_along_axis(normal_W, 13 + distance[:, 13:].argmin(axis=1)[:, None, None], axis=1)[:, 0]
     fingers = (normal_W[:, 1:13] * touching[:, 1:13, None]).sum(axis=1)
     fingers /= np.maximum(np.linalg.norm(fingers, axis=1, keepdims=True), 1e-9)
     opposed = -(fingers * thumb).sum(axis=1)
-    pulled_in = finger_angles(hand, grasps.flexion, grasps.side, np.minimum(grasps.bent, 1e-9), np.minimum(grasps.spread, 1e-9))
+    at_limit = replace(grasps, bent=np.minimum(grasps.bent, 1e-9), spread=np.minimum(grasps.spread, 1e-9))
+    pulled_in = angles_of(hand, at_limit)
     after = part_distances(hand, spheres, model.shapes, grasps.T_WH, pulled_in, grasps.T_WO)
     squeeze = 1000.0 * np.clip(np.minimum(distance, 0.0) - after, 0.0, 0.002)[:, :, None] * normal_W
     grip = -squeeze[:, 1:13].sum(axis=1) * thumb - squeeze[:, 13:].sum(axis=1) * fingers

@@ -45,7 +45,7 @@ START_CLEARANCE = 0.03
 """m from the hand at the start to object and table: more than the noise of a training reset."""
 PATH_OVERLAP = 0.003
 """m that the open hand may graze the object on its straight way."""
-HOLD_STEPS = 80
+HOLD_STEPS = 60
 """Control steps of the physics check; what is held until then rarely falls later."""
 HOLDING_SHARE = 0.4
 """Share of an object's labels that hold by themselves, where that many are found."""
@@ -76,9 +76,13 @@ def make_labels(name: str, count: int, seed: int, hand: HandModel, config: Confi
     labels = _labels(maker, grasps, _CHECKED_PER_LABEL * count)
     if len(labels) < count:
         raise ConfigError(f"{name}: found {len(labels)} grasps of {count}; ask for fewer, or change the seed")
-    holds = check_holds(labels, hand, model, config)
+    wanted, holds = round(HOLDING_SHARE * count), np.zeros(0, bool)
+    # Checked in parts, until there are enough of both kinds.
+    while len(holds) < len(labels) and (holds.sum() < wanted or (~holds).sum() < count - wanted):
+        part = labels[len(holds) : len(holds) + (count + 1) // 2]
+        holds = np.concatenate([holds, check_holds(part, hand, model, config)])
     held, fell = rng.permutation(np.flatnonzero(holds)), rng.permutation(np.flatnonzero(~holds))
-    n_held = max(min(len(held), round(HOLDING_SHARE * count)), count - len(fell))
+    n_held = max(min(len(held), wanted), count - len(fell))
     chosen = rng.permutation(np.concatenate([held[:n_held], fell[: count - n_held]]))
     return [labels[i] for i in chosen], holds[chosen]
 

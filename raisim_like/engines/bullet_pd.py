@@ -18,6 +18,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
+from operator import itemgetter
 from typing import TYPE_CHECKING
 from weakref import WeakKeyDictionary
 
@@ -124,6 +125,11 @@ class ImplicitPd:
         self.q[:], self.v[:] = gc, gv
 
 
+_VELOCITY = itemgetter(1)
+CHUNK = 8
+"""Worlds stepped in turn, substep by substep: enough to batch their algebra, few enough for the cache."""
+
+
 class _Batch:
     """Systems of one model, controlled together for one control step."""
 
@@ -148,9 +154,9 @@ class _Batch:
         """The torques of the next substep."""
         wanted = self.kp * (self.target - self.q) + self.forward + self.h - self.D * self.v
         self.tau = np.matmul(self.G, wanted[..., None])[..., 0] - self.h
-        for s, tau in zip(self.systems, self.tau, strict=True):
+        for s, forces in zip(self.systems, self.tau.tolist(), strict=True):
             p.setJointMotorControlArray(
-                s.uid, s.indices, p.TORQUE_CONTROL, forces=tau.tolist(), physicsClientId=s.client
+                s.uid, s.indices, p.TORQUE_CONTROL, forces=forces, physicsClientId=s.client
             )
 
     def pull(self) -> None:
@@ -158,7 +164,7 @@ class _Batch:
         before = self.v
         self.v = np.array(
             [
-                [state[1] for state in p.getJointStates(s.uid, s.indices, physicsClientId=s.client)]
+                list(map(_VELOCITY, p.getJointStates(s.uid, s.indices, physicsClientId=s.client)))
                 for s in self.systems
             ]
         )
@@ -175,6 +181,11 @@ class _Batch:
 
 def integrate_worlds(worlds: Sequence[BulletWorld], substeps: int) -> None:
     """Advance worlds together: the linear algebra of their controllers is batched, the steps are not."""
+    for first in range(0, len(worlds), CHUNK):
+        _integrate_chunk(worlds[first : first + CHUNK], substeps)
+
+
+def _integrate_chunk(worlds: Sequence[BulletWorld], substeps: int) -> None:
     groups: dict[tuple[int, float], list[ImplicitPd]] = {}
     for world in worlds:
         for system in world.systems.values():

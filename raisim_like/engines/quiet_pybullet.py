@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import sys
 
@@ -19,10 +20,9 @@ def _import_quietly() -> None:
 
 
 if "pybullet" not in sys.modules:
-    try:
+    # Without a standard error there is nothing to keep clean.
+    with contextlib.suppress(OSError):
         _import_quietly()
-    except OSError:
-        pass  # Without a standard error there is nothing to keep clean.
 import pybullet  # noqa: E402
 
 __all__ = ["pybullet"]

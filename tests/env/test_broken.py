@@ -26,7 +26,9 @@ class Faulty(Scene):
             self.fault = None
 
 
-FAULTS = [("gc", np.nan), ("gv", np.inf), ("object", np.nan), ("object", 2 * MAX_SPEED)]
+FAULTS = [
+    ("gc", np.nan), ("gc", np.inf), ("gv", np.inf), ("object", np.nan), ("object", 2 * MAX_SPEED), ("object", 1e300),
+]  # fmt: skip
 
 
 @pytest.mark.parametrize("fault", FAULTS)

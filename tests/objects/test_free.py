@@ -26,14 +26,14 @@ def surface(shape: Shape) -> Array:
     elif shape.kind == "cylinder":
         radius, length = shape.size
         ring = np.stack([radius * np.cos(angles), radius * np.sin(angles), np.zeros_like(angles)], axis=1)
-        local = np.concatenate([ring + [0, 0, length / 2], ring - [0, 0, length / 2]])
+        local = np.concatenate([np.add(ring, [0, 0, length / 2]), ring - [0, 0, length / 2]])
     else:
         radius, length = shape.size
         polar = np.linspace(0, np.pi, 121)[:, None]
         ball = radius * np.stack(
             [np.sin(polar) * np.cos(angles), np.sin(polar) * np.sin(angles), np.cos(polar) + 0 * angles], axis=-1
         ).reshape(-1, 3)
-        local = np.concatenate([ball + [0, 0, length / 2], ball - [0, 0, length / 2]])
+        local = np.concatenate([np.add(ball, [0, 0, length / 2]), ball - [0, 0, length / 2]])
     return local @ matrix_from_quaternion(np.array(shape.quaternion)).T + np.array(shape.position)
 
 
@@ -92,7 +92,7 @@ def test_mass_properties_are_sound(entry: CatalogueObject) -> None:
     assert volume < 1.6 * np.prod(entry.extents)
     assert 100 < model.mass / volume < 1500
     low, middle, high = np.linalg.eigvalsh(model.inertia)
-    assert 0 < low and high <= low + middle
+    assert low > 0 and high <= low + middle
     assert model.inertia == pytest.approx(model.inertia.T)
     assert np.all(np.abs(model.center_of_mass_O) < np.array(entry.extents) / 2)
 
@@ -170,7 +170,8 @@ def test_handles_and_rings_have_holes() -> None:
     pitcher = free_object("019_pitcher_base", "ycb", False).shapes
     # A finger of 1 cm radius fits between the pitcher and its handle.
     along = np.array([0.088, 0.084]) / np.hypot(0.088, 0.084)
-    gaps = [distance(pitcher, (-0.014 + r * along[0], -0.012 + r * along[1], 0.02)) for r in np.linspace(0.05, 0.11, 61)]
+    radii = np.linspace(0.05, 0.11, 61)
+    gaps = [distance(pitcher, (-0.014 + r * along[0], -0.012 + r * along[1], 0.02)) for r in radii]
     inner = [i for i, gap in enumerate(gaps) if gap > 0.01]
     assert inner and any(gap <= 0 for gap in gaps[inner[-1] :])
     scissors = free_object("037_scissors", "ycb", False).shapes

@@ -109,7 +109,9 @@ def test_shapes_are_placed_and_turned() -> None:
     assert body.center_of_mass == pytest.approx([0.1, 0.2, 0.3])
 
 
-@pytest.mark.parametrize("shape", [Shape("box", (0.1, 0.2, 0.3)), Shape("sphere", (0.2,)), Shape("capsule", (0.1, 0.2))])
+@pytest.mark.parametrize(
+    "shape", [Shape("box", (0.1, 0.2, 0.3)), Shape("sphere", (0.2,)), Shape("capsule", (0.1, 0.2))]
+)
 def test_each_primitive_is_known(shape: Shape) -> None:
     direct = {"box": box_properties, "sphere": sphere_properties, "capsule": capsule_properties}[shape.kind]
     assert shape_properties(shape).inertia == pytest.approx(direct(*shape.size).inertia)
