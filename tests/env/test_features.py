@@ -2,10 +2,19 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
-from dgrasp.env.features import FEATURE_LAYERS, PHI, FeatureLayer, goal_wrist_position_W, relations
+from dgrasp.env.features import (
+    FEATURE_LAYERS,
+    PHI,
+    FeatureLayer,
+    features_page,
+    goal_wrist_position_W,
+    relations,
+)
 from dgrasp.env.goal import make_goal
 from dgrasp.types import Array
 from raisim_like.rotations import euler_from_matrix, transform
@@ -199,3 +208,8 @@ def test_observing_changes_nothing_and_keeps_nothing() -> None:
     state.gc[:] = 7.0
     assert np.array_equal(out, kept)
     assert np.array_equal(state.R_WO, before.R_WO) and np.array_equal(state.contact_impulse, before.contact_impulse)
+
+
+def test_the_page_in_docs_is_the_specification() -> None:
+    page = Path(__file__).resolve().parents[2] / "docs" / "features.md"
+    assert page.read_text(encoding="utf-8") == features_page()

@@ -1,0 +1,72 @@
+"""Evaluated episodes: their phases, what is recorded, and how a fall and an explosion look."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from dgrasp.baselines import PdBaseline
+from dgrasp.eval.evaluator import UNSTABLE, evaluate
+from dgrasp.eval.metrics import success
+from dgrasp.pool.serial import SerialPool
+from dgrasp.types import Array
+from tests.scenes import make_spec
+
+
+class Still:
+    """Does nothing: the wrist is guided to its goal, the fingers stay open."""
+
+    name, mode = "still", "test"
+
+    def act(self, observation: Array) -> Array:
+        return np.zeros((len(observation), 51), np.float32)
+
+
+@pytest.fixture(scope="module")
+def pool():
+    made = SerialPool(make_spec(2, ["env.grasp_steps=8", "env.episode_steps=40"]))
+    yield made
+    made.close()
+
+
+def test_the_table_goes_after_the_grasp_and_an_open_hand_drops_the_object(pool):
+    config = pool.env.config
+    said = []
+    records, cost = evaluate(pool, Still(), config, 0.7, progress=lambda done, total: said.append((done, total)))
+    steps = 8 + round(0.7 / config.control_period)
+    assert said[-1] == (steps, steps) and cost["control_steps"] == 2 * steps and 0 < cost["physics_share"] < 1
+    for record in records:
+        assert record.window_start == 8 and len(record.gc) == steps and record.terminated == ""
+        height = record.T_WO[:, 2, 3]
+        assert np.ptp(height[:8]) < 2e-3, "it stands on the table while there is one"
+        assert height[-1] < height[7] - 0.2 and record.table_contact[8:].any()
+        assert not success(record, 0.7)
+        assert np.allclose(record.T_WH[:, :3, 3], record.joints_W[:, 0])
+
+
+def test_the_pd_baseline_starts_in_the_labels_pose_without_a_table(pool):
+    records, _ = evaluate(pool, PdBaseline(), pool.env.config, 0.1)
+    label = pool.labels[1]
+    assert records[1].window_start == 0
+    assert np.allclose(records[1].T_WH[0, :3, 3], label.T_WH[:3, 3], atol=2e-3)
+    assert np.allclose(records[1].gc[0, 6:], label.hand_pose, atol=2e-2)
+    # One control step of free fall from rest: g t^2 / 2 = 4.1 mm.
+    assert label.T_WO[2, 3] - records[1].T_WO[0, 2, 3] == pytest.approx(4.1e-3, abs=5e-4)
+
+
+def test_an_explosion_cuts_the_record_and_is_a_failure(pool, monkeypatch):
+    scene = pool.env.scenes[0]
+    read, calls = scene.read, []
+
+    def broken(gc, gv, impulse, object_state):
+        read(gc, gv, impulse, object_state)
+        calls.append(1)
+        if len(calls) == 6:
+            gc[20] = np.nan
+
+    monkeypatch.setattr(scene, "read", broken)
+    records, _ = evaluate(pool, Still(), pool.env.config, 0.1)
+    assert records[0].terminated == UNSTABLE and len(records[0].gc) == 4 and np.isfinite(records[0].gc).all()
+    assert not success(records[0], 0.1) and records[1].terminated == ""
+    (event,) = pool.drain_events()
+    assert "env 0" in event
