@@ -11,7 +11,7 @@ import numpy as np
 
 from raisim_like.contact import Contact
 from raisim_like.engines.bullet_pd import ImplicitPd, integrate_worlds
-from raisim_like.engines.bullet_urdf import normalised_urdf
+from raisim_like.engines.bullet_urdf import compound_urdf, normalised_urdf
 from raisim_like.engines.protocol import Array, EngineWorld
 from raisim_like.engines.quiet_pybullet import pybullet as p
 from raisim_like.errors import EngineError
@@ -100,14 +100,20 @@ class BulletWorld:
             moments, axes = np.diag(inertia).copy(), np.eye(3)
         elif np.linalg.det(axes) < 0:
             axes[:, 0] *= -1
-        collision = self._collision_shape(shapes)
-        uid = p.createMultiBody(
-            baseMass=float(mass),
-            baseCollisionShapeIndex=collision,
-            baseInertialFramePosition=[float(v) for v in com],
-            baseInertialFrameOrientation=_xyzw(quaternion_from_matrix(axes)),
-            physicsClientId=self.client,
-        )
+        for shape in shapes:
+            if shape.kind in ("mesh", "hull") and (shape.file is None or not shape.file.is_file()):
+                raise EngineError(f"mesh file {shape.file} does not exist")
+        if len(shapes) == 1:
+            uid = p.createMultiBody(
+                baseMass=float(mass),
+                baseCollisionShapeIndex=self._collision_shape(shapes[0]),
+                baseInertialFramePosition=[float(v) for v in com],
+                baseInertialFrameOrientation=_xyzw(quaternion_from_matrix(axes)),
+                physicsClientId=self.client,
+            )
+        else:
+            # A URDF, for PyBullet's arrays of shapes overflow beyond 16 parts without a word.
+            uid = self._load(compound_urdf(shapes, mass, com, axes), p.URDF_USE_INERTIA_FROM_FILE, fixed=False)
         if uid < 0:
             raise EngineError("PyBullet refused the body")
         if mass > 0:
@@ -127,42 +133,29 @@ class BulletWorld:
         self.bodies[uid] = _Body(uid, material, np.asarray(com, dtype=float), axes)
         return int(uid)
 
-    def _collision_shape(self, shapes: Sequence[Shape]) -> int:
-        for shape in shapes:
-            if shape.kind in ("mesh", "hull") and (shape.file is None or not shape.file.is_file()):
-                raise EngineError(f"mesh file {shape.file} does not exist")
-        if len(shapes) == 1:
-            keys = {
-                "halfExtents": "halfExtents",
-                "radii": "radius",
-                "lengths": "height",
-                "fileNames": "fileName",
-                "flags": "flags",
-            }
-            options = {keys[k]: v for k, v in _geometry(shapes[0]).items()}
-            index = p.createCollisionShape(
-                _SHAPES[shapes[0].kind],
-                collisionFramePosition=list(shapes[0].position),
-                collisionFrameOrientation=_xyzw(shapes[0].quaternion),
-                physicsClientId=self.client,
-                **options,
-            )
-        else:
-            rows = [_geometry(shape) for shape in shapes]
-            index = p.createCollisionShapeArray(
-                shapeTypes=[_SHAPES[shape.kind] for shape in shapes],
-                halfExtents=[row.get("halfExtents", [0.0, 0.0, 0.0]) for row in rows],
-                radii=[row.get("radii", 0.0) for row in rows],
-                lengths=[row.get("lengths", 0.0) for row in rows],
-                fileNames=[row.get("fileNames", "") for row in rows],
-                flags=[row.get("flags", 0) for row in rows],
-                collisionFramePositions=[list(shape.position) for shape in shapes],
-                collisionFrameOrientations=[_xyzw(shape.quaternion) for shape in shapes],
-                physicsClientId=self.client,
-            )
+    def _collision_shape(self, shape: Shape) -> int:
+        index = p.createCollisionShape(
+            _SHAPES[shape.kind],
+            collisionFramePosition=list(shape.position),
+            collisionFrameOrientation=_xyzw(shape.quaternion),
+            physicsClientId=self.client,
+            **_geometry(shape),
+        )
         if index < 0:
-            raise EngineError(f"PyBullet refused the collision shape {[shape.kind for shape in shapes]}")
+            raise EngineError(f"PyBullet refused the collision shape {shape}")
         return int(index)
+
+    def _load(self, text: str, flags: int, fixed: bool) -> int:
+        """Load a URDF given as text; the world keeps no file."""
+        handle, path = tempfile.mkstemp(suffix=".urdf")
+        try:
+            with os.fdopen(handle, "w", encoding="utf-8") as stream:
+                stream.write(text)
+            return int(p.loadURDF(path, useFixedBase=int(fixed), flags=flags, physicsClientId=self.client))
+        except p.error as error:
+            raise EngineError(f"PyBullet could not load a body: {error}") from None
+        finally:
+            os.unlink(path)
 
     def remove(self, body: int) -> None:
         p.removeBody(body, physicsClientId=self.client)
@@ -214,18 +207,10 @@ class BulletWorld:
     def add_articulated(
         self, model: UrdfModel, material: str, collision_mask: int, self_collision: bool, enforce_limits: bool
     ) -> int:
-        handle, path = tempfile.mkstemp(suffix=".urdf")
-        try:
-            with os.fdopen(handle, "w", encoding="utf-8") as stream:
-                stream.write(normalised_urdf(model, enforce_limits))
-            flags = p.URDF_USE_INERTIA_FROM_FILE
-            if self_collision:
-                flags |= p.URDF_USE_SELF_COLLISION | p.URDF_USE_SELF_COLLISION_EXCLUDE_ALL_PARENTS
-            uid = p.loadURDF(path, useFixedBase=1, flags=flags, physicsClientId=self.client)
-        except p.error as error:
-            raise EngineError(f"PyBullet could not load {model.path}: {error}") from None
-        finally:
-            os.unlink(path)
+        flags = p.URDF_USE_INERTIA_FROM_FILE
+        if self_collision:
+            flags |= p.URDF_USE_SELF_COLLISION | p.URDF_USE_SELF_COLLISION_EXCLUDE_ALL_PARENTS
+        uid = self._load(normalised_urdf(model, enforce_limits), flags, fixed=True)
         names = [
             p.getJointInfo(uid, i, physicsClientId=self.client)[1].decode()
             for i in range(p.getNumJoints(uid, physicsClientId=self.client))
@@ -342,11 +327,11 @@ def _geometry(shape: Shape) -> dict[str, Any]:
     if shape.kind == "box":
         return {"halfExtents": [v / 2 for v in shape.size]}
     if shape.kind == "sphere":
-        return {"radii": shape.size[0]}
+        return {"radius": shape.size[0]}
     if shape.kind in ("cylinder", "capsule"):
-        return {"radii": shape.size[0], "lengths": shape.size[1]}
+        return {"radius": shape.size[0], "height": shape.size[1]}
     flags = p.GEOM_FORCE_CONCAVE_TRIMESH if shape.kind == "mesh" else 0
-    return {"fileNames": str(shape.file), "flags": flags}
+    return {"fileName": str(shape.file), "flags": flags}
 
 
 class BulletEngine:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
 from numpy.typing import NDArray
 
+from raisim_like.rotations import transform
 from raisim_like.shapes import Shape
 from raisim_like.urdf import UrdfLink, UrdfModel, shape_pose
 
@@ -76,6 +78,18 @@ def normalised_urdf(model: UrdfModel, enforce_limits: bool = True) -> str:
         lines.append("</joint>")
     lines.append("</robot>")
     return "\n".join(lines)
+
+
+def compound_urdf(shapes: Sequence[Shape], mass: float, com: NDArray[Any], axes: NDArray[Any]) -> str:
+    """URDF text of one rigid body of several shapes; its inertia is set afterwards, along the columns of `axes`."""
+    inertial = f'<inertial>{_origin(transform(axes, com))}<mass value="{float(mass)!r}"/>'
+    lines = ['<?xml version="1.0"?>', '<robot name="compound">', f'<link name="body">{inertial}']
+    lines.append('<inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>')
+    for shape in shapes:
+        body = _geometry(shape)
+        concave = ' concave="yes"' if shape.kind == "mesh" else ""
+        lines.append(f"<collision{concave}>{body}</collision><visual>{body}</visual>")
+    return "\n".join([*lines, "</link>", "</robot>"])
 
 
 def _kind(link: UrdfLink, enforce_limits: bool) -> str:

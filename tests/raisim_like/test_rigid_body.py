@@ -204,3 +204,17 @@ def test_bad_bodies_are_refused(world: World, tmp_path: Path) -> None:
         body.set_state((0, 0, np.nan))
     with pytest.raises(ValueError, match="position 3"):
         body.set_state((0, 0))
+
+
+def test_a_compound_of_many_parts_is_one_solid_body() -> None:
+    """24 plates side by side, more than PyBullet's arrays of shapes hold, lie on the ground as one slab."""
+    world = World()
+    world.add_ground()
+    shapes = [Shape("box", (0.01, 0.2, 0.02), (0.01 * (i - 11.5), 0.0, 0.0)) for i in range(24)]
+    slab = world.add_body(shapes, 0.5, 0.5 / 12 * np.diag([0.04, 0.0576, 0.0976]))
+    slab.set_state((0.0, 0.0, 0.0101))
+    world.integrate(450)
+    assert slab.position == pytest.approx([0.0, 0.0, 0.01], abs=1e-3)
+    assert slab.rotation[2, 2] == pytest.approx(1.0, abs=1e-4)
+    assert sum(c.impulse for c in slab.contacts()) == pytest.approx(0.5 * 9.81 * world.timestep, rel=0.05)
+    world.close()
