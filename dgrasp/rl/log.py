@@ -65,7 +65,10 @@ class Log:
             self._events.flush()
         self._start = time.monotonic()
         self._progress = TrainingProgress(
-            self._epochs * steps_per_epoch, resumed_epoch * steps_per_epoch, console=console
+            self._epochs * steps_per_epoch,
+            resumed_epoch * steps_per_epoch,
+            console=console,
+            max_seconds=60.0 * (config.ppo.max_minutes or float("inf")),
         )
 
     def __enter__(self) -> Log:

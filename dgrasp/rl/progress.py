@@ -22,6 +22,7 @@ class TrainingProgress:
     """Shows epoch, control steps per second, time left and the last success.
 
     total_steps: control steps of the whole training; done_steps: those of a run that is resumed.
+    max_seconds: a limit on the training's time, which then also bounds the time left.
     """
 
     def __init__(
@@ -30,7 +31,9 @@ class TrainingProgress:
         done_steps: int,
         console: Console | None = None,
         clock: Callable[[], float] = time.monotonic,
+        max_seconds: float = float("inf"),
     ) -> None:
+        self._max_seconds = max_seconds
         self._console = console if console is not None else Console(stderr=True)
         self._clock = clock
         self._total, self._first, self._done = total_steps, done_steps, done_steps
@@ -69,5 +72,6 @@ class TrainingProgress:
     def _status(self, place: str, now: float) -> str:
         rate = (self._done - self._first) / max(now - self._start, 1e-9)
         left = (self._total - self._done) / rate if rate > 0.0 else 0.0
+        left = max(0.0, min(left, self._max_seconds - (now - self._start)))
         success = "" if self._success is None else f", success {self._success:.3f}"
         return f"{place}, {rate:,.0f} steps/s, {format_duration(left)} left{success}"

@@ -199,3 +199,13 @@ def test_bar_on_a_terminal() -> None:
 )
 def test_format_duration(seconds: float, text: str) -> None:
     assert format_duration(seconds) == text
+
+
+def test_a_time_limit_bounds_the_time_left() -> None:
+    now = [0.0]
+    stream = io.StringIO()
+    progress = TrainingProgress(1_000_000, 0, Console(file=stream), lambda: now[0], max_seconds=100.0)
+    now[0] = 40.0
+    progress.advance(400, "epoch 1/9")
+    assert "10 steps/s, 0:01:00 left" in stream.getvalue()
+    progress.close()
