@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import argparse
+import os
+import shutil
+import sys
 from pathlib import Path
 
 import torch
@@ -54,12 +57,14 @@ def main(arguments: argparse.Namespace) -> int:
         output.write_json(result, run_dir / f"{method.name}.json")
     write_gif(run_dir / "grasps.gif", records, spec)
     _print(results, config)
+    # An environment that is not active is named by its folder, so that the lines can be typed as they are.
+    bin_dir = "" if shutil.which("dgrasp") else os.path.relpath(Path(sys.executable).parent) + os.sep
     print(
-        f"\nlook at it:       {run_dir / 'grasps.gif'}; tensorboard --logdir {run_dir.parent}\n"
-        f"train longer:     dgrasp train --cfg cfg/dexycb.yaml --data free\n"
-        f"one object:       dgrasp train --cfg cfg/dexycb.yaml --data free labels.objects=[004_sugar_box]\n"
-        f"test it again:    dgrasp test --run {run_dir} --split test\n"
-        f"your own labels:  dgrasp test --baseline gt_pd --labels FILE"
+        f"\nlook at it:       {run_dir / 'grasps.gif'}; {bin_dir}tensorboard --logdir {run_dir.parent}\n"
+        f"train longer:     {bin_dir}dgrasp train --cfg cfg/dexycb.yaml --data free\n"
+        f"one object:       {bin_dir}dgrasp train --cfg cfg/dexycb.yaml --data free labels.objects=[004_sugar_box]\n"
+        f"test it again:    {bin_dir}dgrasp test --run {run_dir} --split test\n"
+        f"your own labels:  {bin_dir}dgrasp test --baseline gt_pd --labels FILE"
     )
     return 0
 
@@ -83,8 +88,6 @@ def _print(results: dict[str, Result], config: Config) -> None:
 
 
 if __name__ == "__main__":
-    import sys
-
     from dgrasp.cli import run_command
 
     sys.exit(run_command("demo", sys.argv[1:]))
