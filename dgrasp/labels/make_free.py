@@ -2,8 +2,10 @@
 
 For each of the 20 free objects, hands are proposed around it at rest on the table and closed
 (`dgrasp.labels.free_grasps`); a physics check tells which of them hold the object when the hand just stays in the
-label's pose. Each object gets both: some that do, and more for which that is left to be learned. The same seed
-gives the same bytes on one machine.
+label's pose. Each object gets both: some that do, up to `HOLDING_SHARE`, and more for which that is left to be
+learned. How well the label's pose holds is therefore chosen here, not a result: the grasps that hold are almost
+all ones whose joints leave their limits (`free_grasps.BENT_SHARE`). The same seed gives the same bytes on one
+machine.
 """
 
 from __future__ import annotations
