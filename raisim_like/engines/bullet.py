@@ -5,12 +5,12 @@ from __future__ import annotations
 import os
 import tempfile
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 
 from raisim_like.contact import Contact
 from raisim_like.engines.bullet_pd import ImplicitPd, integrate_worlds
+from raisim_like.engines.bullet_shapes import SHAPE_TYPES, collision_filter, geometry, xyzw
 from raisim_like.engines.bullet_urdf import compound_urdf, normalised_urdf
 from raisim_like.engines.protocol import Array, EngineWorld
 from raisim_like.engines.quiet_pybullet import pybullet as p
@@ -25,21 +25,6 @@ SOLVER_ITERATIONS = 100
 """Light objects between ten stiff contacts need this many to stop sinking into the fingers."""
 CONTACT_BREAKING_THRESHOLD = 0.001
 """m. Bullet's 0.02 keeps contact points of parts that are centimetres apart and costs 45% of the speed."""
-
-_SHAPES = {
-    "box": p.GEOM_BOX,
-    "cylinder": p.GEOM_CYLINDER,
-    "sphere": p.GEOM_SPHERE,
-    "capsule": p.GEOM_CAPSULE,
-    "mesh": p.GEOM_MESH,
-    "hull": p.GEOM_MESH,
-}
-
-
-def _xyzw(quaternion: Any) -> list[float]:
-    w, x, y, z = (float(v) for v in quaternion)
-    return [x, y, z, w]
-
 
 class _Body:
     """A rigid body; Bullet's frame sits at the centre of mass along the principal axes."""
@@ -108,7 +93,7 @@ class BulletWorld:
                 baseMass=float(mass),
                 baseCollisionShapeIndex=self._collision_shape(shapes[0]),
                 baseInertialFramePosition=[float(v) for v in com],
-                baseInertialFrameOrientation=_xyzw(quaternion_from_matrix(axes)),
+                baseInertialFrameOrientation=xyzw(quaternion_from_matrix(axes)),
                 physicsClientId=self.client,
             )
         else:
@@ -129,17 +114,17 @@ class BulletWorld:
                 activationState=p.ACTIVATION_STATE_DISABLE_SLEEPING,
                 physicsClientId=self.client,
             )
-        p.setCollisionFilterGroupMask(uid, -1, *_filter(collision_mask), physicsClientId=self.client)
+        p.setCollisionFilterGroupMask(uid, -1, *collision_filter(collision_mask), physicsClientId=self.client)
         self.bodies[uid] = _Body(uid, material, np.asarray(com, dtype=float), axes)
         return int(uid)
 
     def _collision_shape(self, shape: Shape) -> int:
         index = p.createCollisionShape(
-            _SHAPES[shape.kind],
+            SHAPE_TYPES[shape.kind],
             collisionFramePosition=list(shape.position),
-            collisionFrameOrientation=_xyzw(shape.quaternion),
+            collisionFrameOrientation=xyzw(shape.quaternion),
             physicsClientId=self.client,
-            **_geometry(shape),
+            **geometry(shape),
         )
         if index < 0:
             raise EngineError(f"PyBullet refused the collision shape {shape}")
@@ -184,7 +169,7 @@ class BulletWorld:
             linear = linear + np.cross(angular, offset)
             quaternion = quaternion_from_matrix(R @ info.axes)
         p.resetBasePositionAndOrientation(
-            body, [float(v) for v in position], _xyzw(quaternion), physicsClientId=self.client
+            body, [float(v) for v in position], xyzw(quaternion), physicsClientId=self.client
         )
         p.resetBaseVelocity(
             body, [float(v) for v in linear], [float(v) for v in angular], physicsClientId=self.client
@@ -230,14 +215,14 @@ class BulletWorld:
                 activationState=p.ACTIVATION_STATE_DISABLE_SLEEPING,
                 physicsClientId=self.client,
             )
-            p.setCollisionFilterGroupMask(uid, link, *_filter(collision_mask), physicsClientId=self.client)
+            p.setCollisionFilterGroupMask(uid, link, *collision_filter(collision_mask), physicsClientId=self.client)
         self.systems[uid] = ImplicitPd(self.client, uid, model, self.timestep)
         self._system_material[uid] = material
         return int(uid)
 
     def set_base_pose(self, body: int, position: Array, quaternion: Array) -> None:
         p.resetBasePositionAndOrientation(
-            body, [float(v) for v in position], _xyzw(quaternion), physicsClientId=self.client
+            body, [float(v) for v in position], xyzw(quaternion), physicsClientId=self.client
         )
 
     def set_joint_state(self, body: int, gc: Array, gv: Array) -> None:
@@ -316,22 +301,6 @@ class BulletWorld:
     def set_color(self, body: int, rgba: Sequence[float]) -> None:
         for link in range(-1, p.getNumJoints(body, physicsClientId=self.client)):
             p.changeVisualShape(body, link, rgbaColor=list(rgba), physicsClientId=self.client)
-
-
-def _filter(mask: int) -> tuple[int, int]:
-    """Bullet's (group, mask): two bodies collide when each one's group is in the other's mask."""
-    return mask & 0xFF, mask >> 8
-
-
-def _geometry(shape: Shape) -> dict[str, Any]:
-    if shape.kind == "box":
-        return {"halfExtents": [v / 2 for v in shape.size]}
-    if shape.kind == "sphere":
-        return {"radius": shape.size[0]}
-    if shape.kind in ("cylinder", "capsule"):
-        return {"radius": shape.size[0], "height": shape.size[1]}
-    flags = p.GEOM_FORCE_CONCAVE_TRIMESH if shape.kind == "mesh" else 0
-    return {"fileName": str(shape.file), "flags": flags}
 
 
 class BulletEngine:
