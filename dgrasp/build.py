@@ -27,7 +27,11 @@ def build_hand(choice: DataChoice) -> HandModel:
     return load_hand(choice.hand_urdf, choice.hand)
 
 
+def build_spec(choice: DataChoice, config: Config) -> PoolSpec:
+    """What a pool for the chosen labels is made of."""
+    return PoolSpec(choice.labels.labels, build_hand(choice), build_objects(choice, config), config)
+
+
 def build_pool(choice: DataChoice, config: Config) -> Pool:
     """One environment per chosen label, in the pool that the config names."""
-    spec = PoolSpec(choice.labels.labels, build_hand(choice), build_objects(choice, config), config)
-    return make_pool(spec)
+    return make_pool(build_spec(choice, config))

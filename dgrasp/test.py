@@ -11,7 +11,7 @@ from pathlib import Path
 import torch
 
 from dgrasp.baselines import BASELINES
-from dgrasp.build import build_hand, build_objects
+from dgrasp.build import build_spec
 from dgrasp.config import Config, load_config
 from dgrasp.data import DataChoice, resolve
 from dgrasp.errors import ConfigError, DataError
@@ -84,7 +84,7 @@ def evaluate_choice(
     method: Method, config: Config, choice: DataChoice
 ) -> tuple[Result, list[EpisodeRecord], PoolSpec]:
     """Evaluate a method on the chosen labels."""
-    spec = PoolSpec(choice.labels.labels, build_hand(choice), build_objects(choice, config), config)
+    spec = build_spec(choice, config)
     pool = make_pool(spec)
     try:
         records, cost = evaluate(pool, method, config, config.eval.window_s, _Progress())

@@ -12,7 +12,7 @@ from typing import Any
 import torch
 
 from dgrasp.atomic import write_atomic
-from dgrasp.build import build_hand, build_objects
+from dgrasp.build import build_spec
 from dgrasp.config import Config, dump_config, load_config
 from dgrasp.data import DataChoice, resolve
 from dgrasp.errors import ConfigError, DataError
@@ -112,7 +112,7 @@ def train(run_dir: Path, config: Config, choice: DataChoice, resume: bool = Fals
     """Train in `run_dir` to the config's last epoch."""
     # The workers use all cores; a second thread here would only take one from them.
     torch.set_num_threads(1)
-    spec = PoolSpec(choice.labels.labels, build_hand(choice), build_objects(choice, config), config)
+    spec = build_spec(choice, config)
     pool = make_pool(spec)
     try:
         evaluator = periodic_evaluation(pool, spec, choice.stamp())

@@ -13,7 +13,7 @@ import gymnasium
 import numpy as np
 from gymnasium.vector import AutoresetMode
 
-from dgrasp.build import build_hand, build_objects
+from dgrasp.build import build_spec
 from dgrasp.config import Config, load_config
 from dgrasp.data import resolve
 from dgrasp.errors import ConfigError
@@ -41,8 +41,7 @@ def _spaces(observation_size: int) -> tuple[gymnasium.spaces.Box, gymnasium.spac
 
 
 def _spec(config: Config) -> PoolSpec:
-    choice = resolve(config)
-    return PoolSpec(choice.labels.labels, build_hand(choice), build_objects(choice, config), config)
+    return build_spec(resolve(config), config)
 
 
 class GraspGymEnv(gymnasium.Env[Array, Array]):
