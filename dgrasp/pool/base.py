@@ -10,7 +10,7 @@ from dgrasp.config import Config
 from dgrasp.env.grasp_env import Mode
 from dgrasp.hand.model import HandModel
 from dgrasp.objects.model import ObjectModel
-from dgrasp.rl.vec_env import VecEnv
+from dgrasp.rl.vec_env import Step, VecEnv
 from dgrasp.types import Array, GraspLabel, SceneState
 
 
@@ -25,7 +25,7 @@ class PoolSpec:
 
 
 class Pool(VecEnv, Protocol):
-    """Environments that step together, wherever they run: the learner's, and the phases of a test."""
+    """Environments wherever they run: what the learner needs, and steps and phases of a test."""
 
     labels: Sequence[GraspLabel]
     state: SceneState
@@ -33,6 +33,9 @@ class Pool(VecEnv, Protocol):
 
     def reset(self, epoch: int = 0, mode: Mode = "train") -> Array:
         """Start all episodes (see `GraspEnv.reset`); returns the observations (N, O)."""
+
+    def step(self, actions: Array) -> Step:
+        """Apply the actions (N, A) float32, dimensionless, for one control step."""
 
     def remove_table(self) -> None:
         """Begin the stability test in all environments."""

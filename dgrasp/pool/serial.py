@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 
 from dgrasp.env.grasp_env import GraspEnv, Mode
 from dgrasp.pool.base import PoolSpec
+from dgrasp.rl.collect import Actor, Trajectories, collect
 from dgrasp.rl.vec_env import Step
 from dgrasp.types import Array
 
@@ -19,6 +21,7 @@ class SerialPool:
         self.num_envs, self.action_size = self.env.num_envs, self.env.action_size
         self.observation_size, self.reward_terms = self.env.observation_size, self.env.reward_terms
         self._start = (time.perf_counter(), 0.0)
+        self._trajectories: Trajectories | None = None
 
     def reset(self, epoch: int = 0, mode: Mode = "train") -> Array:
         self._start = (time.perf_counter(), self.env.step_seconds)
@@ -27,6 +30,14 @@ class SerialPool:
     def step(self, actions: Array) -> Step:
         o = self.env.step(actions)
         return Step(o.observation, o.reward, o.terminated, o.truncated, o.final_observation, o.reward_terms)
+
+    def collect(self, actor: Actor, epoch: int, steps: int, advance: Callable[[int], None]) -> Trajectories:
+        if self._trajectories is None or len(self._trajectories.reward) != steps:
+            sizes = (steps, self.num_envs, self.observation_size, self.action_size, len(self.reward_terms))
+            self._trajectories = Trajectories.allocate(*sizes)
+        self._start = (time.perf_counter(), self.env.step_seconds)
+        collect(self.env, actor, epoch, self.env.indices, self._trajectories, advance)
+        return self._trajectories
 
     def remove_table(self) -> None:
         self.env.remove_table()

@@ -11,18 +11,10 @@ import torch
 from torch import Tensor, nn
 
 from dgrasp.errors import DataError
+from dgrasp.rl.collect import LEAK, Actor
 from dgrasp.types import Array
 
 _LOG_2PI = math.log(2.0 * math.pi)
-
-
-class Acted(NamedTuple):
-    """A sampled action (N, A) with its log-probability (N,), the value of the state (N,) and the mean (N, A)."""
-
-    action: Tensor
-    log_prob: Tensor
-    value: Tensor
-    mean: Tensor
 
 
 class Evaluated(NamedTuple):
@@ -41,12 +33,17 @@ def gaussian_log_prob(action: Tensor, mean: Tensor, std: Tensor) -> Tensor:
     return -0.5 * scaled.square().sum(-1) - std.log().sum() - 0.5 * std.numel() * _LOG_2PI
 
 
+def _copy(parameter: Tensor) -> Array:
+    array: Array = parameter.detach().cpu().numpy().copy()
+    return array
+
+
 def make_mlp(sizes: list[int], dtype: torch.dtype = torch.float32) -> nn.Sequential:
     """Linear layers of the given sizes with LeakyReLU between them; the parameters are not initialised."""
     layers: list[nn.Module] = []
     for fan_in, fan_out in itertools.pairwise(sizes):
         # skip_init leaves the global random state alone.
-        layers += [nn.utils.skip_init(nn.Linear, fan_in, fan_out, dtype=dtype), nn.LeakyReLU()]
+        layers += [nn.utils.skip_init(nn.Linear, fan_in, fan_out, dtype=dtype), nn.LeakyReLU(LEAK)]
     return nn.Sequential(*layers[:-1])
 
 
@@ -86,14 +83,11 @@ class ActorCritic(nn.Module):
         _initialise(self.actor, generator)
         _initialise(self.critic, generator)
 
-    @torch.no_grad()
-    def act(self, observation: Tensor, generator: torch.Generator) -> Acted:
-        """Sample actions for observations (N, O). `generator` lives on the CPU, whatever the device, so that
-        a seed means the same noise everywhere."""
-        mean = self.actor(observation)
-        noise = torch.randn(mean.shape, generator=generator).to(mean.device)
-        action = mean + self.std * noise
-        return Acted(action, gaussian_log_prob(action, mean, self.std), self.value(observation), mean)
+    def actor_arrays(self, seed: int) -> Actor:
+        """The policy as it is now, for collecting experience; `seed` is of its noise."""
+        linear = [layer for layer in self.actor if isinstance(layer, nn.Linear)]
+        arrays = tuple((_copy(layer.weight), _copy(layer.bias)) for layer in linear)
+        return Actor(arrays, _copy(self.std), seed)
 
     def evaluate(self, observation: Tensor, action: Tensor) -> Evaluated:
         """Judge actions (B, A) taken at observations (B, O), with gradients."""

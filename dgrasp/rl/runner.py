@@ -13,7 +13,7 @@ import torch
 
 from dgrasp import __version__
 from dgrasp.config import Config
-from dgrasp.errors import ConfigError, DataError
+from dgrasp.errors import ConfigError
 from dgrasp.rl import checkpoint as checkpoints
 from dgrasp.rl.checkpoint import Checkpoint
 from dgrasp.rl.interrupts import interruptible, uninterruptible
@@ -21,8 +21,7 @@ from dgrasp.rl.log import RETURN, STEPS_PER_SECOND, SUCCESS, TERMINATED, TRUNCAT
 from dgrasp.rl.networks import ActorCritic, Policy
 from dgrasp.rl.ppo import Ppo
 from dgrasp.rl.storage import Rollout
-from dgrasp.rl.vec_env import Step, VecEnv
-from dgrasp.types import Array
+from dgrasp.rl.vec_env import VecEnv
 
 Evaluate = Callable[[Policy], dict[str, Any]]
 """Deterministic evaluation: numbers by name, "success" among them, and "gif" (bytes) if there is one."""
@@ -113,7 +112,7 @@ class Runner:
         for epoch in range(self.epoch + 1, last_epoch + 1):
             generator = epoch_generator(self.config.seed, epoch)
             started = time.monotonic()
-            rewards = self._collect(epoch, generator, log)
+            rewards = self._collect(epoch, log)
             collected = time.monotonic()
             statistics = self.ppo.update(self.rollout, generator)
             speed = self._speed(collected - started, time.monotonic() - collected)
@@ -124,60 +123,21 @@ class Runner:
             if last:
                 break
 
-    def _collect(self, epoch: int, generator: torch.Generator, log: Log) -> dict[str, float]:
+    def _collect(self, epoch: int, log: Log) -> dict[str, float]:
         """Fill the rollout with one epoch and compute its returns; the epoch's reward statistics."""
         env, rollout = self.env, self.rollout
-        rollout.clear()
-        observation = env.reset(epoch)
-        self._check_finite(observation, "observation", epoch, 0)
-        term_sums, ends = np.zeros(len(env.reward_terms)), np.zeros(2)
-        for step in range(rollout.steps):
-            acted = self.model.act(rollout.observe(observation), generator)
-            result = env.step(acted.action.cpu().numpy())
-            observation = result.observation
-            self._check_finite(observation, "observation", epoch, step + 1)
-            self._check_finite(result.reward, "reward", epoch, step + 1)
-            rollout.record(
-                acted, result.reward, result.terminated, result.truncated, self._final_values(result, epoch, step + 1)
-            )
-            term_sums += result.reward_terms.sum(axis=0, dtype=np.float64)
-            ends += (result.terminated.sum(), result.truncated.sum())
-            log.step(epoch, env.num_envs)
+        actor = self.model.actor_arrays(self.config.seed)
+        trajectories = env.collect(actor, epoch, rollout.steps, lambda steps: log.step(epoch, steps))
         log.events(epoch, env.drain_events())
-        last_values = self._values(observation)
-        rollout.compute_returns(last_values, self.config.ppo.gamma, self.config.ppo.lam)
+        rollout.load(trajectories, self.model)
+        rollout.compute_returns(self.config.ppo.gamma, self.config.ppo.lam)
 
         # Sums over the epoch per environment, so that they compare however many episodes it holds.
         values = {RETURN: float(rollout.rewards.sum(0, dtype=torch.float64).mean())}
-        values |= {TERMINATED: float(ends[0]) / env.num_envs, TRUNCATED: float(ends[1]) / env.num_envs}
-        return values | _tagged("reward", dict(zip(env.reward_terms, term_sums / env.num_envs, strict=True)))
-
-    def _final_values(self, result: Step, epoch: int, step: int) -> torch.Tensor | None:
-        """Values (N,) of the last observations of truncated episodes, 0 elsewhere; None without any."""
-        rows = np.flatnonzero(result.truncated)
-        if not len(rows):
-            return None
-        final = np.zeros_like(result.final_observation)
-        final[rows] = result.final_observation[rows]
-        self._check_finite(final, "final observation", epoch, step)
-        values = torch.zeros(self.env.num_envs, device=self.device)
-        values[torch.tensor(rows, device=self.device)] = self._values(final[rows])
-        return values
-
-    @torch.no_grad()
-    def _values(self, observation: Array) -> torch.Tensor:
-        return self.model.value(torch.tensor(observation, device=self.device))
-
-    @staticmethod
-    def _check_finite(array: Array, name: str, epoch: int, step: int) -> None:
-        if np.isfinite(array).all():
-            return
-        place = np.argwhere(~np.isfinite(array))[0]
-        entry = f", entry {place[1]}," if len(place) > 1 else ""
-        raise DataError(
-            f"environment {place[0]}, epoch {epoch}, step {step}: the {name}{entry} is {array[tuple(place)]}; "
-            "expected finite numbers. The environment must end an unstable episode itself"
-        )
+        for tag, ends in ((TERMINATED, trajectories.terminated), (TRUNCATED, trajectories.truncated)):
+            values[tag] = float(ends.sum()) / env.num_envs
+        terms = trajectories.reward_terms.mean(axis=0, dtype=np.float64)
+        return values | _tagged("reward", dict(zip(env.reward_terms, terms, strict=True)))
 
     def _speed(self, collect_s: float, update_s: float) -> dict[str, float]:
         seconds = collect_s + update_s

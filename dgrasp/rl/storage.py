@@ -8,7 +8,8 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from dgrasp.rl.networks import Acted
+from dgrasp.rl.collect import Trajectories
+from dgrasp.rl.networks import ActorCritic
 from dgrasp.types import Array
 
 _ADVANTAGE_EPS = 1e-8
@@ -49,7 +50,7 @@ def generalised_advantages(
 
 
 class Rollout:
-    """Preallocated float32 storage [T, N], filled step by step with `observe` and `record`."""
+    """An epoch [T, N] as float32 tensors on the learner's device."""
 
     def __init__(
         self, steps: int, num_envs: int, observation_size: int, action_size: int, device: torch.device
@@ -63,46 +64,37 @@ class Rollout:
         self.log_probs, self.values, self.rewards = buffer(), buffer(), buffer()
         self.terminated, self.truncated = buffer().bool(), buffer().bool()
         self.final_values, self.advantages, self.returns = buffer(), buffer(), buffer()
+        self.last_values = torch.zeros(num_envs, device=device)
         self._device = device
-        self._step = 0
 
-    def clear(self) -> None:
-        """Start again at step 0."""
-        self._step = 0
+    def load(self, trajectories: Trajectories, model: ActorCritic) -> None:
+        """Take over an epoch of experience, and what the model that made it says of it."""
+        t = trajectories
+        # On the CPU these are views of the trajectories, which stay until the next epoch.
+        self.observations, self.actions = self._tensor(t.observations), self._tensor(t.actions)
+        self.rewards = self._tensor(t.reward)
+        self.terminated, self.truncated = self._tensor(t.terminated), self._tensor(t.truncated)
+        with torch.no_grad():
+            for step, (observation, action) in enumerate(zip(self.observations, self.actions, strict=True)):
+                said = model.evaluate(observation, action)
+                self.means[step], self.values[step], self.log_probs[step] = said.mean, said.value, said.log_prob
+            self.last_values = model.value(self._tensor(t.last_observation))
+            finals = model.value(self._tensor(t.final_observations).flatten(0, 1)).view(-1, self.num_envs)
+        # The k-th truncated episode of an environment ended where its truncations count k.
+        order = (self.truncated.cumsum(0) - 1).clamp(min=0)
+        self.final_values = finals.gather(0, order)
 
-    def observe(self, observation: Array) -> Tensor:
-        """Copy the observations (N, O) of the present step into the rollout and return them on its device."""
-        row = self.observations[self._step]
-        row.copy_(torch.tensor(observation))
-        return row
+    def _tensor(self, array: Array) -> Tensor:
+        return torch.from_numpy(array).to(self._device)
 
-    def record(
-        self, acted: Acted, reward: Array, terminated: Array, truncated: Array, final_values: Tensor | None
-    ) -> None:
-        """Store what followed from the observations of the present step, and go to the next.
-
-        final_values: (N,) value of the last observation where an episode was truncated; None if none was.
-        """
-        t = self._step
-        self.actions[t].copy_(acted.action)
-        self.means[t].copy_(acted.mean)
-        self.log_probs[t].copy_(acted.log_prob)
-        self.values[t].copy_(acted.value)
-        self.rewards[t].copy_(torch.tensor(reward))
-        self.terminated[t].copy_(torch.tensor(terminated))
-        self.truncated[t].copy_(torch.tensor(truncated))
-        if final_values is not None:
-            self.final_values[t].copy_(final_values)
-        self._step += 1
-
-    def compute_returns(self, last_values: Tensor, gamma: float, lam: float) -> None:
+    def compute_returns(self, gamma: float, lam: float) -> None:
         """Advantages and returns (advantage + value).
 
-        last_values: (N,) value of the observation after the last step. The end of the rollout is a time
-        limit, not an end of the task, so it bootstraps; so does a truncated episode, from its own last
-        observation. A terminated one has nothing to come.
+        The end of the rollout is a time limit, not an end of the task, so it bootstraps from the values of
+        what came last; so does a truncated episode, from its own last observation. A terminated one has
+        nothing to come.
         """
-        next_values = torch.cat([self.values[1:], last_values[None]])
+        next_values = torch.cat([self.values[1:], self.last_values[None]])
         next_values = torch.where(self.truncated, self.final_values, next_values)
         next_values = torch.where(self.terminated, 0.0, next_values)
         done = self.terminated | self.truncated

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple, Protocol
 
+from dgrasp.rl.collect import Actor, Trajectories
 from dgrasp.types import Array
 
 
@@ -26,7 +28,7 @@ class Step(NamedTuple):
 
 
 class VecEnv(Protocol):
-    """N environments that step together, with O observations, A actions and K named reward terms."""
+    """N environments, with O observations, A actions and K named reward terms."""
 
     @property
     def num_envs(self) -> int:
@@ -44,14 +46,15 @@ class VecEnv(Protocol):
     def reward_terms(self) -> tuple[str, ...]:
         """Names of the K reward terms."""
 
-    def reset(self, epoch: int) -> Array:
-        """First observations (N, O) float32 of an epoch that depends on (seed, epoch, environment) alone."""
+    def collect(self, actor: Actor, epoch: int, steps: int, advance: Callable[[int], None]) -> Trajectories:
+        """`steps` control steps of all environments from a reset, acted on by `actor`.
 
-    def step(self, actions: Array) -> Step:
-        """Apply the actions (N, A) float32, dimensionless, for one control step."""
+        What happens depends on the actor and (seed, epoch, environment) alone. `advance` is told now and then
+        how many control steps have been made since it was last told. The next call overwrites the arrays.
+        """
 
     def timing(self) -> dict[str, float]:
-        """How the time since the last reset was spent, such as `physics_share`."""
+        """How the time since the last collection began was spent, such as `physics_share`."""
 
     def drain_events(self) -> list[str]:
         """What happened since the last call that a person should read, such as unstable episodes."""

@@ -12,6 +12,7 @@ import pytest
 from dgrasp.pool import make_pool
 from dgrasp.pool.process import PoolError, ProcessPool
 from dgrasp.pool.serial import SerialPool
+from dgrasp.rl.collect import Actor
 from tests.scenes import make_spec
 
 STEPS = 6
@@ -25,7 +26,9 @@ def _run(pool, mode="train"):
         if mode == "test" and t == STEPS // 2:
             pool.remove_table()
         step = pool.step(rng.normal(size=(pool.num_envs, 51)).astype(np.float32))
-        said += [np.array(part) for part in step]
+        # Only ended episodes have a final observation.
+        final = step.final_observation[step.terminated | step.truncated]
+        said += [np.array(part) for part in step._replace(final_observation=final)]
         if mode == "test":
             said += [pool.state.gc.copy(), pool.state.joints_W.copy(), pool.state.table_contact.copy()]
     return said
@@ -45,6 +48,55 @@ def test_process_pool_equals_serial_to_the_bit(serial, workers):
         for mode in ("train", "test"):
             for ours, reference in zip(_run(pool, mode), _run(serial, mode), strict=True):
                 assert ours.tobytes() == np.ascontiguousarray(reference).tobytes()
+    finally:
+        pool.close()
+
+
+def _actor(seed=5):
+    rng = np.random.default_rng(0)
+    layer = (rng.normal(size=(51, 279)).astype(np.float32) / 50, rng.normal(size=51).astype(np.float32))
+    return Actor((layer,), np.full(51, 0.5, np.float32), seed)
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_collecting_is_the_same_to_the_bit_however_the_labels_are_divided(serial, workers):
+    reference = {k: v.copy() for k, v in vars(serial.collect(_actor(), 4, 70, lambda n: None)).items()}
+    assert reference["truncated"][-1].all() and reference["truncated"].sum() == 3
+    # The last observation of the episode is not the first of the next.
+    assert not np.array_equal(reference["final_observations"][0], reference["last_observation"])
+    pool, told = ProcessPool(make_spec(3, ["env.episode_steps=70"]), workers), []
+    try:
+        pool.collect(_actor(), 1, 70, told.append)
+        assert sum(told) == 3 * 70
+        for name, array in vars(pool.collect(_actor(), 4, 70, told.append)).items():
+            assert array.tobytes() == reference[name].tobytes(), name
+        assert 0.0 < pool.timing()["physics_share"] < 1.0
+    finally:
+        pool.close()
+
+
+def test_an_interrupted_collection_leaves_the_pool_usable(serial):
+    pool = ProcessPool(make_spec(3, ["env.episode_steps=70"]), 2)
+
+    def interrupt(steps):
+        if steps:
+            raise KeyboardInterrupt
+
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            pool.collect(_actor(), 1, 70, interrupt)
+        observation = pool.collect(_actor(), 4, 70, lambda n: None).last_observation
+        assert np.array_equal(observation, serial.collect(_actor(), 4, 70, lambda n: None).last_observation)
+    finally:
+        pool.close()
+
+
+def test_a_worker_killed_while_it_collects_is_reported():
+    pool = ProcessPool(make_spec(2), 2)
+    victim = pool._processes[1].pid
+    try:
+        with pytest.raises(PoolError, match=r"worker 1 died \(exit code -9\)"):
+            pool.collect(_actor(), 1, 195, lambda steps: os.kill(victim, signal.SIGKILL) if steps else None)
     finally:
         pool.close()
 

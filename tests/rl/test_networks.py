@@ -62,25 +62,43 @@ def test_log_prob_and_entropy_agree_with_torch() -> None:
     with torch.no_grad():
         model.std.copy_(torch.tensor([0.3, 1.0, 2.0]))
     observation = torch.linspace(-1.0, 1.0, 18).reshape(2, 9)
-    acted = model.act(observation, torch.Generator().manual_seed(3))
-    now = model.evaluate(observation, acted.action)
+    action = torch.tensor([[0.5, -1.0, 2.0], [0.0, 0.1, -3.0]])
+    now = model.evaluate(observation, action)
     normal = torch.distributions.Normal(now.mean, now.std)
-    assert torch.allclose(now.log_prob, normal.log_prob(acted.action).sum(-1), atol=1e-5)
-    assert torch.allclose(acted.log_prob, now.log_prob, atol=1e-6)
+    assert torch.allclose(now.log_prob, normal.log_prob(action).sum(-1), atol=1e-5)
     assert torch.allclose(now.entropy, normal.entropy().sum(-1)[0], atol=1e-6)
-    assert torch.equal(acted.mean, model.mean_action(observation))
-    assert torch.equal(acted.value, model.value(observation).detach()) and acted.value.shape == (2,)
+    assert torch.equal(now.mean, model.mean_action(observation)) and now.value.shape == (2,)
 
 
-def test_sampled_actions_have_the_standard_deviation() -> None:
-    # 200,000 samples: the standard error of the estimate is std / sqrt(400,000) < 0.2 %.
+def test_the_actor_in_numpy_is_the_same_policy() -> None:
     model = _model()
+    actor = model.actor_arrays(seed=1)
+    observation = np.random.default_rng(0).normal(size=(7, 9)).astype(np.float32)
+    means = np.empty((7, 3), np.float32)
+    actor.means(observation, means)
+    assert means == pytest.approx(model.policy().act(observation), abs=1e-6)
+    # A row's bits do not depend on its company.
+    for i in range(7):
+        alone = np.empty((1, 3), np.float32)
+        actor.means(observation[i : i + 1], alone)
+        assert np.array_equal(alone[0], means[i])
+    # It is a copy: the learner's next step does not change it.
     with torch.no_grad():
-        model.std.copy_(torch.tensor([0.2, 1.0, 3.0]))
-    acted = model.act(torch.zeros(200_000, 9), torch.Generator().manual_seed(0))
-    assert torch.allclose(acted.action.std(0), model.std.detach(), rtol=0.01)
-    # Biases are zero, so a zero observation has mean zero.
-    assert torch.count_nonzero(acted.mean) == 0
+        model.std.zero_()
+    assert actor.std.tolist() == [1.0, 1.0, 1.0]
+
+
+def test_the_actor_s_noise_is_standard_normal_and_its_own_per_environment_and_epoch() -> None:
+    # 195 x 3 x 400 samples: the standard error of mean and standard deviation is below 0.3 %.
+    actor = _model().actor_arrays(seed=1)
+    noise = np.array([actor.noise(2, index, 195) for index in range(400)])
+    assert noise.mean() == pytest.approx(0.0, abs=0.01) and noise.std() == pytest.approx(1.0, abs=0.01)
+    assert np.array_equal(noise[5], actor.noise(2, 5, 195))
+    streams = [noise[5], noise[6], actor.noise(3, 5, 195), _model().actor_arrays(seed=2).noise(2, 5, 195)]
+    assert len({stream.tobytes() for stream in streams}) == 4
+    # The environments draw their own from default_rng([seed, epoch, index]).
+    plain = np.random.default_rng([1, 2, 5]).standard_normal((195, 3), dtype=np.float32)
+    assert not np.array_equal(noise[5], plain)
 
 
 def test_std_floor() -> None:

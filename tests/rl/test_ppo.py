@@ -10,6 +10,7 @@ import torch
 
 from dgrasp.config import PpoConfig
 from dgrasp.errors import DataError
+from dgrasp.rl.collect import Trajectories
 from dgrasp.rl.networks import ActorCritic
 from dgrasp.rl.ppo import STATISTICS, Ppo, adapted_learning_rate, gaussian_kl, surrogate_loss, value_loss
 from dgrasp.rl.storage import Rollout
@@ -84,11 +85,13 @@ def _setup(seed: int = 0, **changes: Any) -> tuple[Ppo, Rollout]:
     generator = torch.Generator().manual_seed(seed)
     model = ActorCritic(4, 2, config.hidden, config.initial_std, generator)
     rollout = Rollout(12, 4, 4, 2, torch.device("cpu"))
-    no_end = torch.zeros(4, dtype=torch.bool).numpy()
-    for _ in range(12):
-        acted = model.act(rollout.observe(torch.randn(4, 4, generator=generator).numpy()), generator)
-        rollout.record(acted, acted.action[:, 0].numpy(), no_end, no_end, None)
-    rollout.compute_returns(torch.zeros(4), config.gamma, config.lam)
+    t = Trajectories.allocate(12, 4, 4, 2, 1)
+    t.observations[:] = torch.randn(12, 4, 4, generator=generator).numpy()
+    noise = torch.randn(12, 4, 2, generator=generator)
+    t.actions[:] = (model.mean_action(torch.from_numpy(t.observations)) + config.initial_std * noise).numpy()
+    t.reward[:] = t.actions[..., 0]
+    rollout.load(t, model)
+    rollout.compute_returns(config.gamma, config.lam)
     return Ppo(model, config), rollout
 
 

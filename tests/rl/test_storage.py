@@ -5,26 +5,43 @@ from __future__ import annotations
 import pytest
 import torch
 
-from dgrasp.rl.networks import Acted
+from dgrasp.rl.collect import Trajectories
+from dgrasp.rl.networks import Evaluated
 from dgrasp.rl.storage import Rollout, generalised_advantages
 
 CPU = torch.device("cpu")
 
 
+class _Model:
+    """Says of an observation its own value, and of an action nothing."""
+
+    def evaluate(self, observation: torch.Tensor, action: torch.Tensor) -> Evaluated:
+        return Evaluated(torch.zeros(len(action)), self.value(observation), action, action[0], torch.zeros(()))
+
+    def value(self, observation: torch.Tensor) -> torch.Tensor:
+        return observation[..., 0]
+
+
 def _filled() -> Rollout:
     """Two environments, three steps: environment 0 is terminated by step 1, environment 1 truncated by it."""
     rollout = Rollout(3, 2, 1, 1, CPU)
-    rewards = [[1.0, 0.0], [2.0, 1.0], [3.0, 2.0]]
-    values = [[4.0, 2.0], [1.0, 4.0], [1.0, 0.0]]
-    for t in range(3):
-        ends = t == 1
-        rollout.observe(torch.full((2, 1), float(t)).numpy())
-        zeros = torch.zeros(2, 1)
-        acted = Acted(zeros, torch.zeros(2), torch.tensor(values[t]), zeros)
-        final = torch.tensor([100.0, 8.0]) if ends else None  # V(final) of environment 0 must not be used
-        terminated, truncated = torch.tensor([ends, False]), torch.tensor([False, ends])
-        rollout.record(acted, torch.tensor(rewards[t]).numpy(), terminated.numpy(), truncated.numpy(), final)
+    t = Trajectories.allocate(3, 2, 1, 1, 1, 2)
+    t.reward[:] = [[1.0, 0.0], [2.0, 1.0], [3.0, 2.0]]
+    t.observations[..., 0] = [[4.0, 2.0], [1.0, 4.0], [1.0, 0.0]]
+    t.terminated[1, 0] = t.truncated[1, 1] = True
+    t.last_observation[:, 0] = [6.0, 4.0]
+    t.final_observations[0, :, 0] = [100.0, 8.0]  # environment 0 has no truncated episode: not to be used
+    rollout.load(t, _Model())  # type: ignore[arg-type]
     return rollout
+
+
+def test_each_truncated_episode_has_its_own_last_value() -> None:
+    t = Trajectories.allocate(5, 1, 1, 1, 1, 2)
+    t.truncated[[1, 3], 0] = True
+    t.final_observations[:, 0, 0] = [7.0, 9.0]
+    rollout = Rollout(5, 1, 1, 1, CPU)
+    rollout.load(t, _Model())  # type: ignore[arg-type]
+    assert rollout.final_values[[1, 3], 0].tolist() == [7.0, 9.0]
 
 
 def test_advantages_by_hand() -> None:
@@ -36,7 +53,7 @@ def test_advantages_by_hand() -> None:
     #   delta_0 = 0 + 0.5 * 4 - 2 = 0    delta_1 = 1 + 0.5 * 8 - 4 = 1    delta_2 = 2 + 0.5 * 4 - 0 = 4
     #   A_2 = 4    A_1 = 1    A_0 = 0 + 0.25 * 1 = 0.25
     rollout = _filled()
-    rollout.compute_returns(torch.tensor([6.0, 4.0]), gamma=0.5, lam=0.5)
+    rollout.compute_returns(gamma=0.5, lam=0.5)
     assert rollout.advantages.tolist() == [[-2.25, 0.25], [1.0, 1.0], [5.0, 4.0]]
     # R = A + V.
     assert rollout.returns.tolist() == [[1.75, 2.25], [2.0, 5.0], [6.0, 4.0]]
@@ -79,11 +96,3 @@ def test_advantages_are_normalised_over_the_whole_rollout() -> None:
     got = torch.cat([batch.advantages for batch in rollout.minibatches(2, None)])
     expected = torch.tensor([-2.0, -1.0, 0.0, 3.0]) / (14.0 / 3.0) ** 0.5
     assert torch.allclose(got, expected, atol=1e-6)
-
-
-def test_what_is_observed_is_a_copy() -> None:
-    rollout = Rollout(1, 2, 3, 1, CPU)
-    view = torch.ones(2, 3).numpy()
-    rollout.observe(view)
-    view[:] = 5.0
-    assert torch.equal(rollout.observations[0], torch.ones(2, 3))

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from dgrasp.config import Config, make_config
+from dgrasp.rl.collect import Actor, Trajectories, collect
 from dgrasp.rl.vec_env import Step
 from dgrasp.types import Array
 
@@ -67,6 +68,14 @@ class ToyEnv:
         if self.on_step is not None:
             self.on_step(self, self.epoch, self.step_count)
         return Step(self.observation, self.reward, self.terminated, self.truncated, self.final, self.terms)
+
+    def collect(self, actor: Actor, epoch: int, steps: int, advance: Callable[[int], None]) -> Trajectories:
+        finals = steps // self.episode_steps + 1
+        out = Trajectories.allocate(
+            steps, self.num_envs, self.observation_size, self.action_size, len(self.reward_terms), finals
+        )
+        collect(self, actor, epoch, range(self.num_envs), out, advance)
+        return out
 
     def timing(self) -> dict[str, float]:
         return {"physics_share": 0.5}

@@ -1,0 +1,169 @@
+"""Collecting experience where the environments are: an actor in plain numpy, and the arrays that it fills."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+
+from dgrasp.errors import DataError
+from dgrasp.types import Array
+
+LEAK = 0.01
+"""Slope of the networks' LeakyReLU for negative numbers."""
+
+
+@dataclass(frozen=True)
+class Actor:
+    """A Gaussian policy as numpy arrays: what a worker needs to act, and nothing of torch.
+
+    layers: (weight (out, in), bias (out,)) float32 of each layer. std: (A,) float32. seed: of its noise.
+    """
+
+    layers: tuple[tuple[Array, Array], ...]
+    std: Array
+    seed: int
+
+    def means(self, observations: Array, out: Array) -> None:
+        """Writes the mean actions (n, A) for observations (n, O).
+
+        Row by row, so that a row's bits do not depend on how many others it is with.
+        """
+        for x, row in zip(observations, out, strict=True):
+            for weight, bias in self.layers[:-1]:
+                x = weight @ x
+                x += bias
+                x = np.maximum(x, LEAK * x)
+            weight, bias = self.layers[-1]
+            np.matmul(weight, x, out=row)
+            row += bias
+
+    def noise(self, epoch: int, index: int, steps: int) -> Array:
+        """(steps, A) standard normal float32 of one environment in one epoch."""
+        # The spawn key keeps it apart from streams that others derive from the same numbers.
+        sequence = np.random.SeedSequence([self.seed, epoch, index], spawn_key=(2,))
+        return np.random.default_rng(sequence).standard_normal((steps, len(self.std)), dtype=np.float32)
+
+
+@dataclass
+class Trajectories:
+    """T control steps of N environments; the first axis is time.
+
+    observations: (T, N, O), actions: (T, N, A), reward: (T, N), reward_terms: (N, K) summed over time, all float32.
+    terminated, truncated: (T, N) bool. last_observation: (N, O), after the last step.
+    final_observations: (F, N, O), the last observations of an environment's truncated episodes, in their order.
+    """
+
+    observations: Array
+    actions: Array
+    reward: Array
+    terminated: Array
+    truncated: Array
+    last_observation: Array
+    final_observations: Array
+    reward_terms: Array
+
+    @staticmethod
+    def layout(
+        steps: int, envs: int, observation: int, action: int, terms: int, finals: int = 1
+    ) -> dict[str, tuple[tuple[int, ...], Any]]:
+        """Shape and type of each array; `finals`: how many episodes of an environment may be truncated."""
+        return {
+            "observations": ((steps, envs, observation), np.float32),
+            "actions": ((steps, envs, action), np.float32),
+            "reward": ((steps, envs), np.float32),
+            "terminated": ((steps, envs), np.bool_),
+            "truncated": ((steps, envs), np.bool_),
+            "last_observation": ((envs, observation), np.float32),
+            "final_observations": ((finals, envs, observation), np.float32),
+            "reward_terms": ((envs, terms), np.float32),
+        }
+
+    @classmethod
+    def allocate(cls, *sizes: int) -> Trajectories:
+        """Empty arrays; sizes as for `layout`."""
+        return cls(**{name: np.zeros(shape, kind) for name, (shape, kind) in cls.layout(*sizes).items()})
+
+    def part(self, envs: slice) -> Trajectories:
+        """Views of the arrays of some environments."""
+        per_env = {"last_observation", "reward_terms"}
+        return Trajectories(**{k: v[envs] if k in per_env else v[:, envs] for k, v in vars(self).items()})
+
+
+class Stepped(Protocol):
+    """What a step returns; see `dgrasp.rl.vec_env.Step`."""
+
+    @property
+    def observation(self) -> Array: ...
+    @property
+    def reward(self) -> Array: ...
+    @property
+    def terminated(self) -> Array: ...
+    @property
+    def truncated(self) -> Array: ...
+    @property
+    def final_observation(self) -> Array: ...
+    @property
+    def reward_terms(self) -> Array: ...
+
+
+class Steppable(Protocol):
+    """Environments in this process."""
+
+    def reset(self, epoch: int) -> Array: ...
+    def step(self, actions: Array) -> Stepped: ...
+
+
+def collect(
+    env: Steppable,
+    actor: Actor,
+    epoch: int,
+    indices: Sequence[int],
+    out: Trajectories,
+    advance: Callable[[int], None],
+) -> None:
+    """Fills `out` with an epoch of `env`, whose n environments have the given places in the whole set.
+
+    advance: called with n after every control step; what it raises ends the collection. Raises `DataError`
+    if an observation or reward is not finite.
+    """
+    steps, n = out.reward.shape
+    noise = np.stack([actor.noise(epoch, index, steps) for index in indices], axis=1)
+    noise *= actor.std
+    action = np.empty_like(noise[0])
+    finals = np.zeros(n, int)
+    out.reward_terms[:] = 0.0
+    observation = env.reset(epoch)
+    _check_finite(observation, "observation", indices, epoch, 0)
+    for t in range(steps):
+        out.observations[t] = observation
+        actor.means(observation, action)
+        action += noise[t]
+        out.actions[t] = action
+        result = env.step(action)
+        observation = result.observation
+        _check_finite(observation, "observation", indices, epoch, t + 1)
+        _check_finite(result.reward, "reward", indices, epoch, t + 1)
+        out.reward[t], out.terminated[t], out.truncated[t] = result.reward, result.terminated, result.truncated
+        out.reward_terms += result.reward_terms
+        rows = np.flatnonzero(result.truncated)
+        if len(rows):
+            final = result.final_observation[rows]
+            _check_finite(final, "final observation", [indices[row] for row in rows], epoch, t + 1)
+            out.final_observations[finals[rows], rows] = final
+            finals[rows] += 1
+        advance(n)
+    out.last_observation[:] = observation
+
+
+def _check_finite(array: Array, name: str, indices: Sequence[int], epoch: int, step: int) -> None:
+    if np.isfinite(array).all():
+        return
+    place = np.argwhere(~np.isfinite(array))[0]
+    entry = f", entry {place[1]}," if len(place) > 1 else ""
+    raise DataError(
+        f"environment {indices[place[0]]}, epoch {epoch}, step {step}: the {name}{entry} is {array[tuple(place)]}; "
+        "expected finite numbers. The environment must end an unstable episode itself"
+    )
