@@ -127,10 +127,15 @@ class PpoConfig(_Section):
 
 
 class PoolConfig(_Section):
-    """Where the environments run; `workers: null` takes as many as there are cores."""
+    """Where the environments run.
+
+    workers: null takes as many as there are cores. hang_s: seconds without a control step after which a
+    worker is taken to hang, and is replaced.
+    """
 
     kind: Literal["process", "serial"] = "process"
     workers: Count | None = None
+    hang_s: Positive = 120.0
 
 
 class CheckpointConfig(_Section):
@@ -153,7 +158,7 @@ class Config(_Section):
 
     name: str = "dexycb"
     seed: Annotated[int, Field(ge=0)] = 1
-    engine: Literal["pybullet"] = "pybullet"
+    engine: Literal["pybullet", "mujoco"] = "pybullet"
     device: Literal["auto", "cpu", "cuda"] = "auto"
     data: str | None = None
     hand: str | None = None

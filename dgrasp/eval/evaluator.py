@@ -9,7 +9,7 @@ import numpy as np
 
 from dgrasp.config import Config
 from dgrasp.eval.method import Method
-from dgrasp.pool import Pool
+from dgrasp.pool import Pool, WorkerLost
 from dgrasp.types import Array, EpisodeRecord
 from raisim_like.rotations import transform
 
@@ -69,6 +69,10 @@ class _Recorder:
         return made
 
 
+ATTEMPTS = 3
+"""How often an evaluation starts over when a worker is lost on the way."""
+
+
 def evaluate(
     pool: Pool, method: Method, config: Config, window_s: float, progress: Progress | None = None
 ) -> tuple[list[EpisodeRecord], dict[str, float]]:
@@ -80,6 +84,22 @@ def evaluate(
     started = time.perf_counter()
     grasp = 0 if method.mode == "label" else config.env.grasp_steps
     steps = grasp + max(1, round(window_s / config.control_period))
+    for attempt in range(1, ATTEMPTS + 1):
+        try:
+            recorder = _run(pool, method, steps, grasp, progress)
+            break
+        except WorkerLost:
+            if attempt == ATTEMPTS:
+                raise
+    cost = {
+        "control_steps": float(steps * pool.num_envs),
+        "wall_s": time.perf_counter() - started,
+        "physics_share": pool.timing()["physics_share"],
+    }
+    return recorder.records(grasp, config.control_period), cost
+
+
+def _run(pool: Pool, method: Method, steps: int, grasp: int, progress: Progress | None) -> _Recorder:
     recorder = _Recorder(pool, steps)
     observation = pool.reset(0, method.mode)
     for t in range(steps):
@@ -90,9 +110,4 @@ def evaluate(
         recorder.write(result.reward, result.terminated)
         if progress is not None:
             progress(t + 1, steps)
-    cost = {
-        "control_steps": float(steps * pool.num_envs),
-        "wall_s": time.perf_counter() - started,
-        "physics_share": pool.timing()["physics_share"],
-    }
-    return recorder.records(grasp, config.control_period), cost
+    return recorder

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 
-from dgrasp.pool.base import Pool, PoolSpec
+from dgrasp.pool.base import Pool, PoolError, PoolSpec, WorkerLost
 
 
 def cores() -> int:
@@ -23,4 +23,4 @@ def make_pool(spec: PoolSpec) -> Pool:
     return ProcessPool(spec, spec.config.pool.workers or cores())
 
 
-__all__ = ["Pool", "PoolSpec", "cores", "make_pool"]
+__all__ = ["Pool", "PoolError", "PoolSpec", "WorkerLost", "cores", "make_pool"]

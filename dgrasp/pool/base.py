@@ -8,10 +8,19 @@ from typing import Protocol
 
 from dgrasp.config import Config
 from dgrasp.env.grasp_env import Mode
+from dgrasp.errors import DGraspError
 from dgrasp.hand.model import HandModel
 from dgrasp.objects.model import ObjectModel
 from dgrasp.rl.vec_env import Step, VecEnv
 from dgrasp.types import Array, GraspLabel, SceneState
+
+
+class PoolError(DGraspError):
+    """A worker failed for good; the message holds its traceback."""
+
+
+class WorkerLost(DGraspError):
+    """A worker died or hung in the middle of a test. Its environments are back, in a new worker: start over."""
 
 
 @dataclass(frozen=True)
@@ -32,7 +41,10 @@ class Pool(VecEnv, Protocol):
     """States of all environments after the last reset or step; kept current in modes test and label alone."""
 
     def reset(self, epoch: int = 0, mode: Mode = "train") -> Array:
-        """Start all episodes (see `GraspEnv.reset`); returns the observations (N, O)."""
+        """Start all episodes (see `GraspEnv.reset`); returns the observations (N, O).
+
+        This and the next two raise `WorkerLost`, after which a reset starts over.
+        """
 
     def step(self, actions: Array) -> Step:
         """Apply the actions (N, A) float32, dimensionless, for one control step."""

@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 from dgrasp.env.grasp_env import GraspEnv, Mode
 from dgrasp.pool.base import PoolSpec
-from dgrasp.rl.collect import Actor, Trajectories, collect
+from dgrasp.rl.collect import Actor, Incident, Trajectories, collect
 from dgrasp.rl.vec_env import Step
 from dgrasp.types import Array
 
@@ -22,6 +22,8 @@ class SerialPool:
         self.observation_size, self.reward_terms = self.env.observation_size, self.env.reward_terms
         self._start = (time.perf_counter(), 0.0)
         self._trajectories: Trajectories | None = None
+        self._incidents: list[Incident] = []
+        self.names = tuple(label.name for label in spec.labels)
 
     def reset(self, epoch: int = 0, mode: Mode = "train") -> Array:
         self._start = (time.perf_counter(), self.env.step_seconds)
@@ -36,7 +38,7 @@ class SerialPool:
             sizes = (steps, self.num_envs, self.observation_size, self.action_size, len(self.reward_terms))
             self._trajectories = Trajectories.allocate(*sizes)
         self._start = (time.perf_counter(), self.env.step_seconds)
-        collect(self.env, actor, epoch, self.env.indices, self._trajectories, advance)
+        self._incidents += collect(self.env, actor, epoch, self.env.indices, self._trajectories, advance)
         return self._trajectories
 
     def remove_table(self) -> None:
@@ -50,6 +52,10 @@ class SerialPool:
     def drain_events(self) -> list[str]:
         events, self.env.events = self.env.events, []
         return events
+
+    def drain_incidents(self) -> list[Incident]:
+        incidents, self._incidents = self._incidents, []
+        return incidents
 
     def close(self) -> None:
         self.env.close()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
@@ -54,6 +54,7 @@ class Trajectories:
     observations: (T, N, O), actions: (T, N, A), reward: (T, N), reward_terms: (N, K) summed over time, all float32.
     terminated, truncated: (T, N) bool. last_observation: (N, O), after the last step.
     final_observations: (F, N, O), the last observations of an environment's truncated episodes, in their order.
+    valid: (N,) bool, false where a lost worker left the arrays unfinished.
     """
 
     observations: Array
@@ -64,6 +65,7 @@ class Trajectories:
     last_observation: Array
     final_observations: Array
     reward_terms: Array
+    valid: Array
 
     @staticmethod
     def layout(
@@ -79,6 +81,7 @@ class Trajectories:
             "last_observation": ((envs, observation), np.float32),
             "final_observations": ((finals, envs, observation), np.float32),
             "reward_terms": ((envs, terms), np.float32),
+            "valid": ((envs,), np.bool_),
         }
 
     @classmethod
@@ -88,8 +91,29 @@ class Trajectories:
 
     def part(self, envs: slice) -> Trajectories:
         """Views of the arrays of some environments."""
-        per_env = {"last_observation", "reward_terms"}
-        return Trajectories(**{k: v[envs] if k in per_env else v[:, envs] for k, v in vars(self).items()})
+        return Trajectories(**{k: v[envs] if k in _PER_ENV else v[:, envs] for k, v in vars(self).items()})
+
+    def valid_part(self) -> Trajectories:
+        """The environments that were collected to the end: itself if all were, else copies."""
+        if self.valid.all():
+            return self
+        rows = np.flatnonzero(self.valid)
+        return Trajectories(**{k: v[rows] if k in _PER_ENV else v[:, rows] for k, v in vars(self).items()})
+
+
+_PER_ENV = ("last_observation", "reward_terms", "valid")
+
+
+class Incident(NamedTuple):
+    """An episode that the simulation broke: all that it takes to play it again.
+
+    Environment `env` was reset for `epoch`, and took the actions (t, A), the last of which broke it. (Episodes
+    that ended earlier in the epoch, and restarted, are part of it.)
+    """
+
+    env: int
+    epoch: int
+    actions: Array
 
 
 class Stepped(Protocol):
@@ -123,17 +147,18 @@ def collect(
     indices: Sequence[int],
     out: Trajectories,
     advance: Callable[[int], None],
-) -> None:
+) -> list[Incident]:
     """Fills `out` with an epoch of `env`, whose n environments have the given places in the whole set.
 
-    advance: called with n after every control step; what it raises ends the collection. Raises `DataError`
-    if an observation or reward is not finite.
+    advance: called with n after every control step; what it raises ends the collection. Returns the episodes
+    that were terminated. Raises `DataError` if an observation or reward is not finite.
     """
     steps, n = out.reward.shape
     noise = np.stack([actor.noise(epoch, index, steps) for index in indices], axis=1)
     noise *= actor.std
     action = np.empty_like(noise[0])
     finals = np.zeros(n, int)
+    incidents: list[Incident] = []
     out.reward_terms[:] = 0.0
     observation = env.reset(epoch)
     _check_finite(observation, "observation", indices, epoch, 0)
@@ -154,8 +179,12 @@ def collect(
             _check_finite(final, "final observation", [indices[row] for row in rows], epoch, t + 1)
             out.final_observations[finals[rows], rows] = final
             finals[rows] += 1
+        for row in np.flatnonzero(result.terminated).tolist():
+            incidents.append(Incident(indices[row], epoch, out.actions[: t + 1, row].copy()))
         advance(n)
     out.last_observation[:] = observation
+    out.valid[:] = True
+    return incidents
 
 
 def _check_finite(array: Array, name: str, indices: Sequence[int], epoch: int, step: int) -> None:
@@ -164,6 +193,6 @@ def _check_finite(array: Array, name: str, indices: Sequence[int], epoch: int, s
     place = np.argwhere(~np.isfinite(array))[0]
     entry = f", entry {place[1]}," if len(place) > 1 else ""
     raise DataError(
-        f"environment {indices[place[0]]}, epoch {epoch}, step {step}: the {name}{entry} is {array[tuple(place)]}; "
+        f"environment {indices[int(place[0])]}, epoch {epoch}, step {step}: the {name}{entry} is {array[tuple(place)]}; "
         "expected finite numbers. The environment must end an unstable episode itself"
     )

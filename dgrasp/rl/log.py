@@ -13,11 +13,13 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
+import numpy as np
 from rich.console import Console
 
 from dgrasp.config import Config, dump_config
 from dgrasp.errors import DataError
 from dgrasp.rl.checkpoint import atomic_write_bytes
+from dgrasp.rl.collect import Incident
 from dgrasp.rl.events import EventFile
 from dgrasp.rl.ppo import STATISTICS
 from dgrasp.rl.progress import TrainingProgress
@@ -26,8 +28,10 @@ CSV_NAME = "progress.csv"
 RETURN, TERMINATED, TRUNCATED = "train/return", "train/terminated", "train/truncated"
 SUCCESS, CONTACT_RATIO = "eval/success", "eval/contact_ratio"
 STEPS_PER_SECOND, PHYSICS_SHARE, UPDATE_SHARE = "speed/steps_per_second", "speed/physics_share", "speed/update_share"
+LOST_WORKERS = "speed/lost_workers"
 _FIXED_COLUMNS = ("epoch", "control_steps", "seconds")
 _EVENTS_SHOWN = 3
+_INCIDENTS_KEPT = 50
 
 
 class Log:
@@ -49,9 +53,9 @@ class Log:
         console: Console | None = None,
     ) -> None:
         self._run_dir, self._csv = run_dir, run_dir / CSV_NAME
-        self._steps_per_epoch, self._epochs = steps_per_epoch, config.ppo.epochs
+        self._steps_per_epoch, self._epochs, self._seed = steps_per_epoch, config.ppo.epochs, config.seed
         tags = [RETURN, TERMINATED, TRUNCATED, *(f"reward/{term}" for term in reward_terms)]
-        tags += [*(f"ppo/{name}" for name in STATISTICS), STEPS_PER_SECOND, PHYSICS_SHARE, UPDATE_SHARE]
+        tags += [*(f"ppo/{name}" for name in STATISTICS), STEPS_PER_SECOND, PHYSICS_SHARE, UPDATE_SHARE, LOST_WORKERS]
         columns = [*_FIXED_COLUMNS, *map(_column, [*tags, SUCCESS, CONTACT_RATIO])]
         with self._writing():
             rows = _rows_until(self._csv, resumed_epoch) if resumed_epoch else []
@@ -104,6 +108,30 @@ class Log:
             self.message(f"epoch {epoch}: {event}")
         if len(events) > _EVENTS_SHOWN:
             self.message(f"epoch {epoch}: and {len(events) - _EVENTS_SHOWN} more such events (TensorBoard, text)")
+
+    def incidents(self, incidents: Sequence[Incident], names: Sequence[str]) -> None:
+        """Count the episodes that the simulation broke, and keep what it takes to play the first ones again.
+
+        incidents.csv has a row for each: epoch, environment, label, step. incidents/*.npz holds seed, epoch,
+        environment and actions.
+        """
+        if not incidents:
+            return
+        folder, table = self._run_dir / "incidents", self._run_dir / "incidents.csv"
+        with self._writing():
+            folder.mkdir(exist_ok=True)
+            rows = "" if table.exists() else "epoch,env,label,step\n"
+            for incident in incidents:
+                rows += f"{incident.epoch},{incident.env},{names[incident.env]},{len(incident.actions)}\n"
+                if len(list(folder.iterdir())) < _INCIDENTS_KEPT:
+                    buffer = io.BytesIO()
+                    np.savez(
+                        buffer, seed=self._seed, epoch=incident.epoch, env=incident.env, actions=incident.actions
+                    )
+                    name = f"epoch{incident.epoch:06d}_env{incident.env:04d}_step{len(incident.actions):03d}.npz"
+                    atomic_write_bytes(folder / name, buffer.getvalue())
+            with open(table, "a", encoding="utf-8") as stream:
+                stream.write(rows)
 
     def epoch(self, epoch: int, values: Mapping[str, float], gif: bytes | None = None) -> None:
         """Write the values (tag to number) of a completed epoch, and a GIF of its evaluation.

@@ -79,7 +79,7 @@ class Runner:
             env.observation_size, env.action_size, ppo.hidden, ppo.initial_std, epoch_generator(config.seed, 0)
         ).to(self.device)
         self.ppo = Ppo(self.model, ppo)
-        self.rollout = Rollout(steps, env.num_envs, env.observation_size, env.action_size, self.device)
+        self.rollout = Rollout(self.device)
         self.epoch = 0
         self.best_success: float | None = None
         self._notices: list[str] = []
@@ -127,15 +127,20 @@ class Runner:
         """Fill the rollout with one epoch and compute its returns; the epoch's reward statistics."""
         env, rollout = self.env, self.rollout
         actor = self.model.actor_arrays(self.config.seed)
-        trajectories = env.collect(actor, epoch, rollout.steps, lambda steps: log.step(epoch, steps))
-        log.events(epoch, env.drain_events())
+        while True:
+            collected = env.collect(actor, epoch, self.config.env.episode_steps, lambda n: log.step(epoch, n))
+            log.events(epoch, env.drain_events())
+            log.incidents(env.drain_incidents(), env.names)
+            if collected.valid.any():
+                break
+        trajectories = collected.valid_part()
         rollout.load(trajectories, self.model)
         rollout.compute_returns(self.config.ppo.gamma, self.config.ppo.lam)
 
         # Sums over the epoch per environment, so that they compare however many episodes it holds.
         values = {RETURN: float(rollout.rewards.sum(0, dtype=torch.float64).mean())}
         for tag, ends in ((TERMINATED, trajectories.terminated), (TRUNCATED, trajectories.truncated)):
-            values[tag] = float(ends.sum()) / env.num_envs
+            values[tag] = float(ends.sum(axis=0).mean())
         terms = trajectories.reward_terms.mean(axis=0, dtype=np.float64)
         return values | _tagged("reward", dict(zip(env.reward_terms, terms, strict=True)))
 

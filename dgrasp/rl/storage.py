@@ -50,36 +50,29 @@ def generalised_advantages(
 
 
 class Rollout:
-    """An epoch [T, N] as float32 tensors on the learner's device."""
+    """An epoch of T control steps and N environments as float32 tensors on the learner's device."""
 
-    def __init__(
-        self, steps: int, num_envs: int, observation_size: int, action_size: int, device: torch.device
-    ) -> None:
-        def buffer(*size: int) -> Tensor:
-            return torch.zeros(steps, num_envs, *size, device=device)
-
-        self.steps, self.num_envs = steps, num_envs
-        self.observations = buffer(observation_size)
-        self.actions, self.means = buffer(action_size), buffer(action_size)
-        self.log_probs, self.values, self.rewards = buffer(), buffer(), buffer()
-        self.terminated, self.truncated = buffer().bool(), buffer().bool()
-        self.final_values, self.advantages, self.returns = buffer(), buffer(), buffer()
-        self.last_values = torch.zeros(num_envs, device=device)
+    def __init__(self, device: torch.device) -> None:
         self._device = device
 
     def load(self, trajectories: Trajectories, model: ActorCritic) -> None:
-        """Take over an epoch of experience, and what the model that made it says of it."""
-        t = trajectories
+        """Take over an epoch of experience, and what the model that made it says of it.
+
+        Environments that were not collected to the end are left out.
+        """
+        t = trajectories.valid_part()
         # On the CPU these are views of the trajectories, which stay until the next epoch.
         self.observations, self.actions = self._tensor(t.observations), self._tensor(t.actions)
         self.rewards = self._tensor(t.reward)
         self.terminated, self.truncated = self._tensor(t.terminated), self._tensor(t.truncated)
+        self.means = torch.empty_like(self.actions)
+        self.values, self.log_probs = torch.empty_like(self.rewards), torch.empty_like(self.rewards)
         with torch.no_grad():
             for step, (observation, action) in enumerate(zip(self.observations, self.actions, strict=True)):
                 said = model.evaluate(observation, action)
                 self.means[step], self.values[step], self.log_probs[step] = said.mean, said.value, said.log_prob
             self.last_values = model.value(self._tensor(t.last_observation))
-            finals = model.value(self._tensor(t.final_observations).flatten(0, 1)).view(-1, self.num_envs)
+            finals = model.value(self._tensor(t.final_observations).flatten(0, 1)).view(-1, self.rewards.shape[1])
         # The k-th truncated episode of an environment ended where its truncations count k.
         order = (self.truncated.cumsum(0) - 1).clamp(min=0)
         self.final_values = finals.gather(0, order)
@@ -112,6 +105,6 @@ class Rollout:
         if generator is None:
             yield from (Minibatch(*parts) for parts in zip(*(a.tensor_split(count) for a in flat), strict=True))
             return
-        order = torch.randperm(self.steps * self.num_envs, generator=generator).to(self._device)
+        order = torch.randperm(self.rewards.numel(), generator=generator).to(self._device)
         for chosen in order.tensor_split(count):
             yield Minibatch(*(array[chosen] for array in flat))

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import NamedTuple, Protocol
 
-from dgrasp.rl.collect import Actor, Trajectories
+from dgrasp.rl.collect import Actor, Incident, Trajectories
 from dgrasp.types import Array
 
 
@@ -46,11 +46,16 @@ class VecEnv(Protocol):
     def reward_terms(self) -> tuple[str, ...]:
         """Names of the K reward terms."""
 
+    @property
+    def names(self) -> tuple[str, ...]:
+        """What to call each environment in messages: its label."""
+
     def collect(self, actor: Actor, epoch: int, steps: int, advance: Callable[[int], None]) -> Trajectories:
         """`steps` control steps of all environments from a reset, acted on by `actor`.
 
         What happens depends on the actor and (seed, epoch, environment) alone. `advance` is told now and then
         how many control steps have been made since it was last told. The next call overwrites the arrays.
+        Environments that were lost on the way are not `valid`.
         """
 
     def timing(self) -> dict[str, float]:
@@ -58,3 +63,6 @@ class VecEnv(Protocol):
 
     def drain_events(self) -> list[str]:
         """What happened since the last call that a person should read, such as unstable episodes."""
+
+    def drain_incidents(self) -> list[Incident]:
+        """Episodes that the simulation broke since the last call."""

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import os
 import signal
-import time
 
 import numpy as np
 import pytest
 
-from dgrasp.pool import make_pool
-from dgrasp.pool.process import PoolError, ProcessPool
+from dgrasp.env.grasp_env import GraspEnv
+from dgrasp.pool import PoolError, WorkerLost, make_pool
+from dgrasp.pool.process import ProcessPool
 from dgrasp.pool.serial import SerialPool
 from dgrasp.rl.collect import Actor
 from tests.scenes import make_spec
@@ -91,14 +91,85 @@ def test_an_interrupted_collection_leaves_the_pool_usable(serial):
         pool.close()
 
 
-def test_a_worker_killed_while_it_collects_is_reported():
-    pool = ProcessPool(make_spec(2), 2)
-    victim = pool._processes[1].pid
+@pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGSTOP])
+def test_a_lost_worker_is_replaced_and_its_experience_dropped(serial, how):
+    """Killed, or stopped so that it hangs: the other worker's experience is what it would have been anyway."""
+    reference = {k: v.copy() for k, v in vars(serial.collect(_actor(), 4, 70, lambda n: None)).items()}
+    pool = ProcessPool(make_spec(3, ["env.episode_steps=70", "pool.hang_s=4"]), 2)
+    victims = [pool._members[1].process.pid]
+
+    def strike(steps):
+        if steps and victims:
+            os.kill(victims.pop(), how)
+
     try:
-        with pytest.raises(PoolError, match=r"worker 1 died \(exit code -9\)"):
-            pool.collect(_actor(), 1, 195, lambda steps: os.kill(victim, signal.SIGKILL) if steps else None)
+        t = pool.collect(_actor(), 4, 70, strike)
+        assert t.valid.tolist() == [True, False, True]
+        for name, array in vars(t.valid_part()).items():
+            expected = reference[name][[0, 2]] if len(reference[name]) == 3 else reference[name][:, [0, 2]]
+            assert np.array_equal(array, expected), name
+        assert pool.timing()["lost_workers"] == 1.0
+        (event,) = pool.drain_events()
+        assert ("died (exit code -9)" if how == signal.SIGKILL else "hung") in event and "dropped" in event
+        again = pool.collect(_actor(), 4, 70, lambda n: None)
+        assert all(np.array_equal(array, reference[name]) for name, array in vars(again).items())
     finally:
         pool.close()
+
+
+def test_a_worker_lost_between_steps_says_so_and_is_there_again(serial):
+    pool = ProcessPool(make_spec(3, ["env.episode_steps=70"]), 2)
+    expected = serial.reset(3).copy()
+    try:
+        pool.reset(3)
+        os.kill(pool._members[1].process.pid, signal.SIGKILL)
+        with pytest.raises(WorkerLost, match=r"worker 1 died \(exit code -9\)"):
+            for _ in range(100):
+                pool.step(np.zeros((3, 51), np.float32))
+        assert np.array_equal(pool.reset(3), expected)
+    finally:
+        pool.close()
+
+
+def test_a_worker_that_never_lives_is_given_up(monkeypatch):
+    pool = ProcessPool(make_spec(2), 2)
+    try:
+        # Whatever is started from now on dies at once.
+        monkeypatch.setattr("dgrasp.pool.process.work", os._exit)
+        os.kill(pool._members[0].process.pid, signal.SIGKILL)
+        with pytest.raises(PoolError, match="worker 0 was lost 3 times in a row"):
+            pool.collect(_actor(), 1, 195, lambda steps: None)
+    finally:
+        pool.close()
+
+
+def test_a_broken_episode_can_be_played_again(monkeypatch):
+    """An explosion in the middle of an epoch leaves the seed, the epoch and the actions that lead to it."""
+    pool = SerialPool(make_spec(2, ["env.episode_steps=70"]))
+    seen = []
+
+    def explode(env):
+        # A speed that no simulation survives, at the 20th control step of the second environment.
+        broken = (env.clock == 20) & (np.array(env.indices) == 1)
+        if broken.any():
+            seen.append(env.s.gc[1].copy())
+        return broken & (len(seen) == 1)
+
+    monkeypatch.setattr(GraspEnv, "_broken", explode)
+    pool.collect(_actor(), 4, 70, lambda n: None)
+    (incident,) = pool.drain_incidents()
+    assert (incident.env, incident.epoch, incident.actions.shape) == (1, 4, (20, 51))
+    assert pool.drain_incidents() == [] and "unstable" in pool.drain_events()[0]
+    pool.close()
+
+    spec = make_spec(2, ["env.episode_steps=70"])
+    env = GraspEnv(spec.labels[1:], spec.hand, spec.objects, spec.config, indices=[incident.env])
+    monkeypatch.undo()
+    env.reset(incident.epoch)
+    for action in incident.actions:
+        env.step(action[None])
+    assert np.array_equal(env.s.gc[0], seen[0])
+    env.close()
 
 
 def test_an_epoch_depends_on_nothing_before_it(serial):
@@ -135,19 +206,6 @@ def test_a_workers_exception_arrives_with_its_traceback():
     broken = type(spec)(spec.labels, spec.hand, {}, spec.config)
     with pytest.raises(PoolError, match=r"(?s)worker 0 failed.*Traceback.*KeyError: '004_sugar_box'"):
         ProcessPool(broken, 1)
-
-
-def test_a_killed_worker_is_reported():
-    pool = ProcessPool(make_spec(2), 2)
-    try:
-        pool.reset()
-        os.kill(pool._processes[1].pid, signal.SIGKILL)
-        deadline = time.monotonic() + 20
-        with pytest.raises(PoolError, match=r"worker 1 died \(exit code -9\)"):
-            while time.monotonic() < deadline:
-                pool.step(np.zeros((2, 51), np.float32))
-    finally:
-        pool.close()
 
 
 def test_make_pool_takes_the_configs_kind():

@@ -84,12 +84,13 @@ def _setup(seed: int = 0, **changes: Any) -> tuple[Ppo, Rollout]:
     config = PpoConfig.model_validate({"hidden": [8], **changes})
     generator = torch.Generator().manual_seed(seed)
     model = ActorCritic(4, 2, config.hidden, config.initial_std, generator)
-    rollout = Rollout(12, 4, 4, 2, torch.device("cpu"))
+    rollout = Rollout(torch.device("cpu"))
     t = Trajectories.allocate(12, 4, 4, 2, 1)
     t.observations[:] = torch.randn(12, 4, 4, generator=generator).numpy()
     noise = torch.randn(12, 4, 2, generator=generator)
     t.actions[:] = (model.mean_action(torch.from_numpy(t.observations)) + config.initial_std * noise).numpy()
     t.reward[:] = t.actions[..., 0]
+    t.valid[:] = True
     rollout.load(t, model)
     rollout.compute_returns(config.gamma, config.lam)
     return Ppo(model, config), rollout

@@ -22,14 +22,38 @@ class _Model:
         return observation[..., 0]
 
 
+def _loaded(steps: int, envs: int) -> Rollout:
+    """Zeros."""
+    rollout, t = Rollout(CPU), Trajectories.allocate(steps, envs, 1, 1, 1)
+    t.valid[:] = True
+    rollout.load(t, _Model())  # type: ignore[arg-type]
+    rollout.compute_returns(1.0, 1.0)
+    return rollout
+
+
+def test_environments_that_were_lost_are_left_out() -> None:
+    # Three environments whose rewards are 1, 2, 3; the second was not collected to the end.
+    t = Trajectories.allocate(2, 3, 1, 1, 1)
+    t.reward[:] = [1.0, 2.0, 3.0]
+    t.last_observation[:, 0] = [10.0, 20.0, 30.0]
+    t.valid[:] = [True, False, True]
+    rollout = Rollout(CPU)
+    rollout.load(t, _Model())  # type: ignore[arg-type]
+    rollout.compute_returns(gamma=1.0, lam=1.0)
+    # R_1 = r + V(last), R_0 = 2 r + V(last).
+    assert rollout.returns.tolist() == [[12.0, 36.0], [11.0, 33.0]]
+    assert len(next(rollout.minibatches(1, None)).returns) == 4
+
+
 def _filled() -> Rollout:
     """Two environments, three steps: environment 0 is terminated by step 1, environment 1 truncated by it."""
-    rollout = Rollout(3, 2, 1, 1, CPU)
+    rollout = Rollout(CPU)
     t = Trajectories.allocate(3, 2, 1, 1, 1, 2)
     t.reward[:] = [[1.0, 0.0], [2.0, 1.0], [3.0, 2.0]]
     t.observations[..., 0] = [[4.0, 2.0], [1.0, 4.0], [1.0, 0.0]]
     t.terminated[1, 0] = t.truncated[1, 1] = True
     t.last_observation[:, 0] = [6.0, 4.0]
+    t.valid[:] = True
     t.final_observations[0, :, 0] = [100.0, 8.0]  # environment 0 has no truncated episode: not to be used
     rollout.load(t, _Model())  # type: ignore[arg-type]
     return rollout
@@ -37,9 +61,9 @@ def _filled() -> Rollout:
 
 def test_each_truncated_episode_has_its_own_last_value() -> None:
     t = Trajectories.allocate(5, 1, 1, 1, 1, 2)
-    t.truncated[[1, 3], 0] = True
+    t.truncated[[1, 3], 0] = t.valid[0] = True
     t.final_observations[:, 0, 0] = [7.0, 9.0]
-    rollout = Rollout(5, 1, 1, 1, CPU)
+    rollout = Rollout(CPU)
     rollout.load(t, _Model())  # type: ignore[arg-type]
     assert rollout.final_values[[1, 3], 0].tolist() == [7.0, 9.0]
 
@@ -77,7 +101,7 @@ def test_lambda_zero_is_the_temporal_difference() -> None:
 
 @pytest.mark.parametrize("shuffled", [False, True])
 def test_minibatches_hold_every_sample_once(shuffled: bool) -> None:
-    rollout = Rollout(5, 3, 1, 1, CPU)
+    rollout = _loaded(5, 3)
     rollout.observations[:] = torch.arange(15.0).reshape(5, 3, 1)
     rollout.returns = rollout.observations[..., 0] * 2.0
     generator = torch.Generator().manual_seed(0) if shuffled else None
@@ -91,7 +115,7 @@ def test_minibatches_hold_every_sample_once(shuffled: bool) -> None:
 
 def test_advantages_are_normalised_over_the_whole_rollout() -> None:
     # Advantages 1, 2, 3, 6: mean 3, sample variance (4 + 1 + 0 + 9) / 3 = 14 / 3.
-    rollout = Rollout(2, 2, 1, 1, CPU)
+    rollout = _loaded(2, 2)
     rollout.advantages = torch.tensor([[1.0, 2.0], [3.0, 6.0]])
     got = torch.cat([batch.advantages for batch in rollout.minibatches(2, None)])
     expected = torch.tensor([-2.0, -1.0, 0.0, 3.0]) / (14.0 / 3.0) ** 0.5

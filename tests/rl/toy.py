@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from dgrasp.config import Config, make_config
-from dgrasp.rl.collect import Actor, Trajectories, collect
+from dgrasp.rl.collect import Actor, Incident, Trajectories, collect
 from dgrasp.rl.vec_env import Step
 from dgrasp.types import Array
 
@@ -41,6 +41,8 @@ class ToyEnv:
         self.terms = np.zeros((num_envs, 2), np.float32)
         self.terminated, self.truncated = np.zeros(num_envs, bool), np.zeros(num_envs, bool)
         self.events: list[str] = []
+        self.incidents: list[Incident] = []
+        self.names = tuple(f"toy/{env}" for env in range(num_envs))
         self.resets: list[int] = []
 
     def reset(self, epoch: int) -> Array:
@@ -74,8 +76,12 @@ class ToyEnv:
         out = Trajectories.allocate(
             steps, self.num_envs, self.observation_size, self.action_size, len(self.reward_terms), finals
         )
-        collect(self, actor, epoch, range(self.num_envs), out, advance)
+        self.incidents += collect(self, actor, epoch, range(self.num_envs), out, advance)
         return out
+
+    def drain_incidents(self) -> list[Incident]:
+        incidents, self.incidents = self.incidents, []
+        return incidents
 
     def timing(self) -> dict[str, float]:
         return {"physics_share": 0.5}

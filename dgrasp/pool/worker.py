@@ -1,0 +1,157 @@
+"""What runs in a worker process of the pool, and the shared memory between it and the main process."""
+
+from __future__ import annotations
+
+import pickle
+import signal
+import traceback
+from contextlib import suppress
+from multiprocessing.connection import Connection
+from multiprocessing.shared_memory import SharedMemory
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from dgrasp.env.grasp_env import GraspEnv, Mode, StepArrays
+from dgrasp.env.state import STATE_SIZE, copy_state, state_views
+from dgrasp.hand.skeleton import N_DOF
+from dgrasp.pool.base import PoolSpec
+from dgrasp.rl.collect import Actor, Incident, Trajectories, collect
+from dgrasp.types import Array, SceneState
+
+OK, FAILED = b"k", b"e"
+"""First bytes of an answer; a failure goes on with its traceback."""
+STEP, QUIT = b"s", b"q"
+Layout = dict[str, tuple[tuple[int, ...], Any]]
+
+
+class _Stopped(Exception):
+    """The main process wants a collection to end."""
+
+
+def shared_arrays(layout: Layout, name: str | None = None) -> tuple[SharedMemory, dict[str, Array]]:
+    """Named arrays in one block of shared memory: a new one, or the existing one of that name."""
+    sizes = {key: int(np.prod(shape)) * np.dtype(kind).itemsize for key, (shape, kind) in layout.items()}
+    memory = SharedMemory(name=name) if name else SharedMemory(create=True, size=sum(sizes.values()))
+    arrays, offset = {}, 0
+    for key, (shape, kind) in layout.items():
+        arrays[key] = np.ndarray(shape, kind, buffer=memory.buf, offset=offset)
+        offset += sizes[key]
+    return memory, arrays
+
+
+class Shared:
+    """The arrays of all N environments for steps from outside, and what a collection needs beside them."""
+
+    def __init__(self, n: int, observation_size: int, n_terms: int, workers: int, name: str | None = None) -> None:
+        layout: Layout = {
+            "state": ((n * STATE_SIZE,), np.float64),
+            "counts": ((workers,), np.int64),
+            "actions": ((n, N_DOF), np.float32),
+            "observation": ((n, observation_size), np.float32),
+            "final_observation": ((n, observation_size), np.float32),
+            "reward": ((n,), np.float32),
+            "reward_terms": ((n, n_terms), np.float32),
+            "terminated": ((n,), np.bool_),
+            "truncated": ((n,), np.bool_),
+            "stop": ((1,), np.bool_),
+        }
+        self.memory, arrays = shared_arrays(layout, name)
+        self.state: SceneState = state_views(n, arrays.pop("state"))
+        self.actions: Array = arrays.pop("actions")
+        self.counts: Array = arrays.pop("counts")
+        """Control steps that each worker has made in this collection."""
+        self.stop: Array = arrays.pop("stop")
+        """Tells the workers to end a collection early."""
+        self.out = StepArrays(**arrays)
+
+    def write(self, env: GraspEnv, rows: slice) -> None:
+        """Publish what an environment's step wrote."""
+        for name in ("observation", "final_observation", "reward", "reward_terms", "terminated", "truncated"):
+            getattr(self.out, name)[rows] = getattr(env.o, name)
+        if env.mode != "train":
+            copy_state(env.s, self.state, rows)
+
+
+class Told(NamedTuple):
+    """What a worker tells of itself: seconds inside the engine so far; events and incidents since last asked."""
+
+    step_seconds: float
+    events: list[str]
+    incidents: list[Incident]
+
+
+class Worker:
+    """Environments w, w + workers, ... of a pool. Each public method but `serve` is a command."""
+
+    def __init__(self, conn: Connection, spec: PoolSpec, w: int, workers: int, memory: str) -> None:
+        self._conn, self._w, self._rows = conn, w, slice(w, None, workers)
+        indices = list(range(len(spec.labels)))[self._rows]
+        self.env = GraspEnv([spec.labels[i] for i in indices], spec.hand, spec.objects, spec.config, indices)
+        sizes = (len(spec.labels), self.env.observation_size, len(self.env.reward_terms), workers)
+        self._shared = Shared(*sizes, name=memory)
+        self._memory: SharedMemory | None = None
+        self._trajectories: Trajectories | None = None
+        self._incidents: list[Incident] = []
+
+    def step(self) -> None:
+        self.env.step(self._shared.actions[self._rows])
+        self._shared.write(self.env, self._rows)
+
+    def reset(self, epoch: int, mode: Mode) -> None:
+        self.env.reset(epoch, mode)
+        self._shared.write(self.env, self._rows)
+
+    def remove_table(self) -> None:
+        self.env.remove_table()
+
+    def collect(self, actor: Actor, epoch: int, layout: Layout, memory: str) -> None:
+        if self._memory is None or self._memory.name != memory:
+            self._memory, arrays = shared_arrays(layout, memory)
+            self._trajectories = Trajectories(**arrays).part(self._rows)
+        assert self._trajectories is not None
+        with suppress(_Stopped):
+            self._incidents += collect(self.env, actor, epoch, self.env.indices, self._trajectories, self._advance)
+
+    def _advance(self, steps: int) -> None:
+        self._shared.counts[self._w] += steps
+        if self._shared.stop[0]:
+            raise _Stopped
+
+    def tell(self) -> Told:
+        told = Told(self.env.step_seconds, self.env.events, self._incidents)
+        self.env.events, self._incidents = [], []
+        return told
+
+    def serve(self) -> None:
+        """Answer commands until told to stop: a method's name and its arguments, or one byte for a step."""
+        while True:
+            try:
+                command = self._conn.recv_bytes()
+            except EOFError:
+                return
+            if command == STEP:
+                self.step()
+                answer = None
+            elif command == QUIT:
+                return
+            else:
+                name, *arguments = pickle.loads(command)
+                answer = getattr(self, name)(*arguments)
+            self._conn.send_bytes(OK)
+            if answer is not None:
+                self._conn.send(answer)
+
+
+def work(conn: Connection, spec: PoolSpec, w: int, workers: int, memory: str) -> None:
+    """A worker's process: builds its environments, says so, and serves."""
+    # Ctrl-C belongs to the main process, which stops the workers in its own time.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        worker = Worker(conn, spec, w, workers, memory)
+        conn.send_bytes(OK)
+        worker.serve()
+        worker.env.close()
+    except Exception:
+        with suppress(OSError):
+            conn.send_bytes(FAILED + traceback.format_exc().encode())
