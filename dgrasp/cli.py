@@ -11,7 +11,7 @@ from dgrasp import __version__
 from dgrasp.errors import DGraspError
 
 EXIT_BAD_INPUT, EXIT_INTERRUPTED = 2, 130
-COMMANDS = ("train", "test", "demo")
+COMMANDS = ("train", "test", "demo", "hand build", "hand report")
 
 
 _USAGE = """\
@@ -23,6 +23,7 @@ commands:
   train    train a grasping policy
   test     evaluate a policy or a baseline
   demo     train briefly on the free set and show what happens
+  hand     build: a physics hand from a MANO file; report: compare hands
 """
 
 
@@ -36,6 +37,10 @@ def _command(name: str) -> Any:
         from dgrasp import test
 
         return test
+    if name.startswith("hand "):
+        from dgrasp.hand import build_command, report_command
+
+        return build_command if name == "hand build" else report_command
     from dgrasp import demo
 
     return demo
@@ -54,10 +59,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if words[0] == "--version":
         print(f"dgrasp {__version__}")
         return 0
-    if words[0] not in COMMANDS:
-        print(f"error: unknown command {words[0]!r}; expected one of {', '.join(COMMANDS)}", file=sys.stderr)
+    # "hand build" is one command of two words; `dgrasp hand` alone asks which.
+    name = next((name for name in COMMANDS if words[: name.count(" ") + 1] == name.split()), None)
+    if name is None:
+        inner = [command for command in COMMANDS if command.split()[0] == words[0]]
+        if inner and words[1:2] in (["-h"], ["--help"]):
+            print(f"usage: dgrasp {words[0]} COMMAND ...\n\ncommands: {', '.join(inner)}")
+            return 0
+        given = " ".join(words[:2]) if inner else words[0]
+        print(f"error: unknown command {given!r}; expected one of {', '.join(inner or COMMANDS)}", file=sys.stderr)
         return EXIT_BAD_INPUT
-    return run_command(words[0], words[1:], prog=f"dgrasp {words[0]}")
+    return run_command(name, words[name.count(" ") + 1 :], prog=f"dgrasp {name}")
 
 
 def run_command(name: str, arguments: Sequence[str], prog: str | None = None) -> int:

@@ -13,6 +13,7 @@ from typing import Any, Literal
 
 from dgrasp.config import Config
 from dgrasp.errors import DataError
+from dgrasp.hand.store import find_hand
 from dgrasp.labels.source import RELEASE_FILES, SOURCES, SPLITS, LabelSet, load_labels, select, sha256_of
 from dgrasp.objects.names import nearest
 from dgrasp.paths import data_root, user_data_root
@@ -20,7 +21,6 @@ from dgrasp.paths import data_root, user_data_root
 Kind = Literal["free", "release"]
 _HAND_FILES: dict[Kind, str] = {"release": "mano_mean.urdf", "free": "free_hand.urdf"}
 _HAND_IDS: dict[Kind, str] = {"release": "mano_mean", "free": "free"}
-_HAND_OF_FILE = {"free_hand": "free", "mano_mean_meshcoll": "mano_mean", "mano_mean_nocoll": "mano_mean"}
 _LAYOUT = "a folder laid out like the authors' release (hand/mano_mean.urdf, objects/NAME/*.obj, labels/*.pkl)"
 
 
@@ -165,17 +165,14 @@ def _named_root(name: str, origin: str) -> Path:
 
 
 def _hand(config: Config, root: Path, kind: Kind) -> tuple[Path, str]:
-    """The hand's URDF and id: the data's own, or what the config names (an id, or a URDF file).
-
-    A file's id is its name without the suffix; the release's variants of its hand keep the id mano_mean.
-    """
+    """The hand's URDF and id: the data's own, or what the config names (its id, a URDF file, a built hand's folder)."""
     default, own = root / "hand" / _HAND_FILES[kind], _HAND_IDS[kind]
     if config.hand is not None and config.hand != own:
-        path = Path(os.path.expanduser(config.hand))
-        if not os.path.isfile(path):
+        found = find_hand(config.hand)
+        if found is None:
             raise DataError(f"hand: neither the hand of {root} ({own!r}) nor a file: {config.hand!r}; give that name, "
-                            "a URDF file, or other data (--data)")
-        return path, _HAND_OF_FILE.get(path.stem, path.stem)
+                            "a URDF file, a folder of `dgrasp hand build`, or other data (--data)")
+        return found
     if not os.path.isfile(default):
         raise DataError(f"{default}: no such hand; in its folder: {_contents(default.parent)}; expected "
                         f"{_LAYOUT}")

@@ -170,13 +170,12 @@ def finger_direction(finger: str) -> Array:
     return np.array([-math.cos(spread), 0.0, math.sin(spread)])
 
 
-def _anatomical_axes(finger: str, segment: int) -> Array:
+def _anatomical_axes(finger: str, segment: int, bone: Array) -> Array:
     """(3, 3) rows: the axes of twist, of motion to the side and of flexion at the zero pose, wrist frame."""
-    if finger != "thumb":
-        return np.eye(3)
-    bone = finger_direction(finger)
     to_palm = np.cross(bone, [0.0, -1.0, 0.0])
     to_palm /= np.linalg.norm(to_palm)
+    if finger != "thumb":
+        return np.stack([-bone, np.cross(bone, to_palm), to_palm])
     across = np.cross(to_palm, bone)
     # Turning about `across` closes the thumb across the palm, about `to_palm` lifts it in front of the palm.
     if segment == 0:
@@ -186,11 +185,14 @@ def _anatomical_axes(finger: str, segment: int) -> Array:
     return np.stack([-bone, np.cross(bone, flexion), flexion])
 
 
-def _limits(finger: str, segment: int) -> Array:
-    """(3, 2) rad: the smallest box of x, y, z rotations that holds every motion of the anatomical ranges."""
+def anatomical_limits(finger: str, segment: int, bone: Array) -> Array:
+    """(3, 2) rad: the smallest box of x, y, z rotations that holds every motion of the anatomical ranges.
+
+    bone (3,): unit vector along the segment (0 proximal to 2 distal) at the zero pose, wrist frame of a right hand.
+    """
     ranges = (THUMB_RANGES if finger == "thumb" else FINGER_RANGES)[segment]
     widened = np.radians([(low - SLACK_DEG, high + SLACK_DEG) for low, high in ranges])
-    shares = _anatomical_axes(finger, segment)[:, :, None] * widened[:, None, :]
+    shares = _anatomical_axes(finger, segment, bone)[:, :, None] * widened[:, None, :]
     return np.stack([shares.min(axis=2).sum(axis=0), shares.max(axis=2).sum(axis=0)], axis=1)
 
 
@@ -206,7 +208,9 @@ def hand_parts() -> tuple[HandPart, ...]:
             # The last capsule ends in the tip's skin, the others in the next joint.
             end = direction * (length - radius if segment == 2 else length)
             shape = _capsule(np.zeros(3), end, radius)
-            parts.append(HandPart(name, parent, offset, _limits(finger, segment), (shape,)))
+            # The fingers' small spread is left out of their axes.
+            bone = direction if finger == "thumb" else np.array([-1.0, 0.0, 0.0])
+            parts.append(HandPart(name, parent, offset, anatomical_limits(finger, segment, bone), (shape,)))
             offset, parent = direction * length, name
     return tuple(parts)
 
