@@ -26,12 +26,16 @@ class _Section(BaseModel):
 
 
 class LabelsConfig(_Section):
-    """Which grasp labels: a release's split by name, or a file; which objects of it."""
+    """Which grasp labels: a release's split by name, or a file; which objects of it.
+
+    per_epoch: how many of them, drawn anew, make an epoch of training; null takes all.
+    """
 
     source: str = "dexycb"
     split: Literal["train", "test"] = "train"
     objects: list[str] = []
     limit_per_object: Count | None = None
+    per_epoch: Count | None = None
 
 
 class PhysicsConfig(_Section):
@@ -82,17 +86,37 @@ class RewardConfig(_Section):
     squared_weights: bool = True
     position_floor: float = -10.0
     impulse_per_mass: Positive = 5.0
+    hold: float = 0.0
     clip: float | None = None
 
 
+class HoldConfig(_Section):
+    """The test's hold as a part of training episodes; first_step: null leaves it out, as in the paper.
+
+    The table goes at a step drawn from first_step to last_step, the wrist is held where it is, and the episode
+    ends when the object has dropped by `drop` (m). `env.reward.hold` is paid for every step until then.
+    """
+
+    first_step: Count | None = None
+    last_step: Count = 65
+    drop: Positive = 0.05
+
+
 class EnvConfig(_Section):
-    """The grasping task: episode, components that the paper ablates, reward."""
+    """The grasping task: episode, components that the paper ablates, reward.
+
+    scaled_features: bring every feature to order 1 and clamp it. critic_features: the critic also sees how far
+    the episode is and whether the table is gone; the actor does not.
+    """
 
     episode_steps: Count = 195
     grasp_steps: Count = 60
     features: Literal["phi", "full_state"] = "phi"
     goal_space: bool = True
+    scaled_features: bool = False
+    critic_features: bool = False
     wrist: Literal["guidance", "residual"] = "guidance"
+    hold: HoldConfig = HoldConfig()
     noise: NoiseConfig = NoiseConfig()
     action: ActionConfig = ActionConfig()
     reward: RewardConfig = RewardConfig()
@@ -101,7 +125,10 @@ class EnvConfig(_Section):
 class PpoConfig(_Section):
     """PPO with the paper's hyperparameters (supplement, Table of PPO) and the authors' choices.
 
-    Training ends after `epochs`, or with the first epoch that ends after `max_minutes`.
+    Training ends after `epochs`, or with the first epoch that ends after `max_minutes`. normalise_returns: the
+    critic learns returns of mean 0 and variance 1. separate_clipping: actor and critic have a gradient norm
+    each. advantages_per_minibatch: normalise them there and not over the epoch. output_gain: of the actor's
+    last layer at the start.
     """
 
     epochs: Count = 10000
@@ -121,6 +148,10 @@ class PpoConfig(_Section):
     minibatches: Count = 4
     shuffle: bool = True
     clipped_value_loss: bool = True
+    normalise_returns: bool = False
+    separate_clipping: bool = False
+    advantages_per_minibatch: bool = False
+    output_gain: Positive = 2.0**0.5
     hidden: list[Count] = [128, 128]
     initial_std: Positive = 1.0
     min_std: NonNegative = 0.2
@@ -180,6 +211,9 @@ class Config(_Section):
     def _consistent(self) -> Config:
         if self.env.grasp_steps >= self.env.episode_steps:
             raise ValueError("env.grasp_steps must be below env.episode_steps")
+        hold = self.env.hold
+        if hold.first_step is not None and not hold.first_step <= hold.last_step < self.env.episode_steps:
+            raise ValueError("env.hold: expected first_step <= last_step < env.episode_steps")
         if self.ppo.min_learning_rate > self.ppo.max_learning_rate:
             raise ValueError("ppo.min_learning_rate must not exceed ppo.max_learning_rate")
         return self

@@ -88,6 +88,8 @@ class SceneState:
     contacts (N, 16) float 0 or 1; contact_impulse (N, 16), N s per substep, hand parts against the object.
     object_start_W (N, 3): where the object was at the start. table_height_W (N,).
     object_mass (N,) kg. table_contact (N,) bool: the object touches the table.
+    table_gone (N,): 1 once the table was taken away. holding (N,): 1 while it is gone and the object has not
+        dropped. episode_time (N,): share of the episode that has passed.
     """
 
     gc: Array
@@ -106,6 +108,9 @@ class SceneState:
     table_height_W: Array
     object_mass: Array
     table_contact: Array
+    table_gone: Array
+    holding: Array
+    episode_time: Array
 
 
 @dataclass

@@ -80,6 +80,10 @@ class WristHold:
         self.sigma[:6] = 0.0
         self._wrist = state.gc[:, :6].copy()
 
+    def catch(self, state: SceneState, rows: Array) -> None:
+        """Hold the wrists of some environments where they are now."""
+        self._wrist[rows] = state.gc[rows, :6]
+
     def bias(self, state: SceneState, goal: GraspGoal, out: Array) -> None:
         out[:] = state.gc
         out[:, :6] = self._wrist

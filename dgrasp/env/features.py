@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from dgrasp.config import EnvConfig
 from dgrasp.types import Array, GraspGoal, SceneState
 from raisim_like.rotations import euler_from_matrix, rotate, rotate_back
 
@@ -43,7 +44,10 @@ Term = Callable[[SceneState, GraspGoal, Relations], Array]
 
 @dataclass(frozen=True)
 class Feature:
-    """One block of the observation: its size, frame and unit, and the function that gives (N, size)."""
+    """One block of the observation: its size, frame and unit, and the function that gives (N, size).
+
+    scale: what brings it to order 1 (`env.scaled_features`), a number or (size,).
+    """
 
     name: str
     size: int
@@ -51,6 +55,7 @@ class Feature:
     unit: str
     value: Term
     is_goal: bool = False
+    scale: float | Array = 1.0
 
 
 def _table_height_H(s: SceneState, g: GraspGoal, r: Relations) -> Array:
@@ -60,41 +65,48 @@ def _table_height_H(s: SceneState, g: GraspGoal, r: Relations) -> Array:
 
 
 PHI: tuple[Feature, ...] = (
-    Feature("joint_positions", 51, "H0", "m, rad", lambda s, g, r: s.gc),
-    Feature("wrist_linvel", 3, "H0", "m/s", lambda s, g, r: s.gv[:, 0:3]),
-    Feature("wrist_angvel", 3, "H0 (Euler rates)", "rad/s", lambda s, g, r: s.gv[:, 3:6]),
-    Feature("finger_velocities", 45, "joint", "rad/s", lambda s, g, r: s.gv[:, 6:]),
-    Feature("joint_position_error_H", 63, "H", "m", lambda s, g, r: r.joint_position_error_H.reshape(-1, 63), True),
-    Feature("pose_error", 48, "O (wrist), joint", "rad", lambda s, g, r: r.pose_error, True),
-    Feature("wrist_from_object_H", 3, "H", "m", lambda s, g, r: rotate_back(s.R_WH, s.joints_W[:, 0] - s.object_pos_W)),
-    Feature("object_linvel_H", 3, "H", "m/s", lambda s, g, r: rotate_back(s.R_WH, s.object_linvel_W)),
-    Feature("object_angvel_H", 3, "H", "rad/s", lambda s, g, r: rotate_back(s.R_WH, s.object_angvel_W)),
+    Feature("joint_positions", 51, "H0", "m, rad", lambda s, g, r: s.gc, scale=np.r_[np.full(3, 5.0), np.ones(48)]),
+    Feature("wrist_linvel", 3, "H0", "m/s", lambda s, g, r: s.gv[:, 0:3], scale=0.2),
+    Feature("wrist_angvel", 3, "H0 (Euler rates)", "rad/s", lambda s, g, r: s.gv[:, 3:6], scale=0.2),
+    Feature("finger_velocities", 45, "joint", "rad/s", lambda s, g, r: s.gv[:, 6:], scale=0.2),
+    Feature(
+        "joint_position_error_H", 63, "H", "m", lambda s, g, r: r.joint_position_error_H.reshape(-1, 63), True,
+        scale=10.0,
+    ),
+    Feature("pose_error", 48, "O (wrist), joint", "rad", lambda s, g, r: r.pose_error, True, scale=2.0),
+    Feature(
+        "wrist_from_object_H", 3, "H", "m", lambda s, g, r: rotate_back(s.R_WH, s.joints_W[:, 0] - s.object_pos_W),
+        scale=8.0,
+    ),
+    Feature("object_linvel_H", 3, "H", "m/s", lambda s, g, r: rotate_back(s.R_WH, s.object_linvel_W), scale=2.0),
+    Feature("object_angvel_H", 3, "H", "rad/s", lambda s, g, r: rotate_back(s.R_WH, s.object_angvel_W), scale=0.2),
     Feature("goal_contacts", 16, "-", "0/1", lambda s, g, r: g.goal_contacts, True),
-    Feature("contact_impulse", 16, "-", "N s", lambda s, g, r: s.contact_impulse),
+    Feature("contact_impulse", 16, "-", "N s", lambda s, g, r: s.contact_impulse, scale=20.0),
     Feature("achieved_contacts", 16, "-", "0/1", lambda s, g, r: g.goal_contacts * s.contacts, True),
     Feature(
-        "object_displacement_H", 3, "H", "m", lambda s, g, r: rotate_back(s.R_WH, s.object_start_W - s.object_pos_W)
+        "object_displacement_H", 3, "H", "m", lambda s, g, r: rotate_back(s.R_WH, s.object_start_W - s.object_pos_W),
+        scale=10.0,
     ),
-    Feature("table_height_H", 3, "H", "m", _table_height_H),
+    Feature("table_height_H", 3, "H", "m", _table_height_H, scale=5.0),
     Feature(
         "object_euler_H", 3, "H", "rad",
-        lambda s, g, r: euler_from_matrix(np.matmul(np.swapaxes(s.R_WH, 1, 2), s.R_WO)),
+        lambda s, g, r: euler_from_matrix(np.matmul(np.swapaxes(s.R_WH, 1, 2), s.R_WO)), scale=0.5,
     ),
 )  # fmt: skip
 """phi, the published order of 279 numbers (paper, equation 3)."""
 
 FULL_STATE: tuple[Feature, ...] = (
-    Feature("joint_positions", 51, "H0", "m, rad", lambda s, g, r: s.gc),
-    Feature("joint_velocities", 51, "H0, joint", "m/s, rad/s", lambda s, g, r: s.gv),
-    Feature("wrist_position_W", 3, "W", "m", lambda s, g, r: s.joints_W[:, 0]),
-    Feature("wrist_euler_W", 3, "W", "rad", lambda s, g, r: euler_from_matrix(s.R_WH)),
-    Feature("object_position_W", 3, "W", "m", lambda s, g, r: s.object_pos_W),
-    Feature("object_euler_W", 3, "W", "rad", lambda s, g, r: euler_from_matrix(s.R_WO)),
-    Feature("object_linvel_W", 3, "W", "m/s", lambda s, g, r: s.object_linvel_W),
-    Feature("object_angvel_W", 3, "W", "rad/s", lambda s, g, r: s.object_angvel_W),
-    Feature("contact_impulse", 16, "-", "N s", lambda s, g, r: s.contact_impulse),
-    Feature("label_joints_O", 63, "O", "m", lambda s, g, r: g.joints_O.reshape(-1, 63), True),
-    Feature("label_wrist_euler_O", 3, "O", "rad", lambda s, g, r: g.wrist_euler_O, True),
+    Feature("joint_positions", 51, "H0", "m, rad", lambda s, g, r: s.gc, scale=np.r_[np.full(3, 5.0), np.ones(48)]),
+    Feature("joint_velocities", 51, "H0, joint", "m/s, rad/s", lambda s, g, r: s.gv, scale=0.2),
+    Feature("wrist_position_W", 3, "W", "m", lambda s, g, r: s.joints_W[:, 0], scale=5.0),
+    Feature("wrist_euler_W", 3, "W", "rad", lambda s, g, r: euler_from_matrix(s.R_WH), scale=0.5),
+    Feature("object_position_W", 3, "W", "m", lambda s, g, r: s.object_pos_W, scale=5.0),
+    Feature("object_euler_W", 3, "W", "rad", lambda s, g, r: euler_from_matrix(s.R_WO), scale=0.5),
+    Feature("object_linvel_W", 3, "W", "m/s", lambda s, g, r: s.object_linvel_W, scale=2.0),
+    Feature("object_angvel_W", 3, "W", "rad/s", lambda s, g, r: s.object_angvel_W, scale=0.2),
+    Feature("contact_impulse", 16, "-", "N s", lambda s, g, r: s.contact_impulse, scale=20.0),
+    Feature("label_joints_O", 63, "O", "m", lambda s, g, r: g.joints_O.reshape(-1, 63), True, scale=8.0),
+    Feature("label_wrist_euler_O", 3, "O", "rad", lambda s, g, r: g.wrist_euler_O, True, scale=0.5),
     Feature("label_hand_pose", 45, "joint", "rad", lambda s, g, r: g.hand_pose, True),
     Feature("goal_contacts", 16, "-", "0/1", lambda s, g, r: g.goal_contacts, True),
 )
@@ -102,23 +114,39 @@ FULL_STATE: tuple[Feature, ...] = (
 
 FEATURE_LAYERS = {"phi": PHI, "full_state": FULL_STATE}
 
+CRITIC: tuple[Feature, ...] = (
+    Feature("table_gone", 1, "-", "0/1", lambda s, g, r: s.table_gone[:, None]),
+    Feature("episode_time", 1, "-", "share", lambda s, g, r: s.episode_time[:, None]),
+)
+"""What the critic alone may see of an episode (`env.critic_features`): how much reward is still to come."""
+
+SCALED_RANGE = 5.0
+"""Scaled features are clamped to +- this."""
+
 
 class FeatureLayer:
-    """A list of features as one observation (N, size) float32; the goal's blocks can be left out."""
+    """A list of features as one observation (N, size) float32; the actor sees the first `actor_size` numbers."""
 
-    def __init__(self, name: str, goal_space: bool = True) -> None:
-        self.features = tuple(f for f in FEATURE_LAYERS[name] if goal_space or not f.is_goal)
+    def __init__(self, config: EnvConfig) -> None:
+        chosen = tuple(f for f in FEATURE_LAYERS[config.features] if config.goal_space or not f.is_goal)
+        self.features = chosen + (CRITIC if config.critic_features else ())
         self.slices: dict[str, slice] = {}
         start = 0
         for feature in self.features:
             self.slices[feature.name] = slice(start, start + feature.size)
             start += feature.size
         self.size = start
+        self.actor_size = sum(feature.size for feature in chosen)
+        scales = [np.broadcast_to(feature.scale, feature.size) for feature in self.features]
+        self._scale = np.concatenate(scales).astype(np.float32) if config.scaled_features else None
 
     def __call__(self, state: SceneState, goal: GraspGoal, r: Relations, out: Array) -> None:
         """Writes the observation into out (N, size)."""
         for feature, part in zip(self.features, self.slices.values(), strict=True):
             out[:, part] = feature.value(state, goal, r)
+        if self._scale is not None:
+            out *= self._scale
+            np.clip(out, -SCALED_RANGE, SCALED_RANGE, out=out)
 
 
 def goal_wrist_position_W(state: SceneState, goal: GraspGoal) -> Array:
@@ -134,15 +162,21 @@ def features_page() -> str:
         "Written by `python -m dgrasp.env.features > docs/features.md`; a test holds the two together.",
         "Frames: W world, O object, H wrist, H0 wrist at the start of the episode. Blocks marked *goal* are left",
         "out with `env.goal_space=false`. Vectors and Euler angles (intrinsic XYZ) are in the frame named.",
+        "With `env.scaled_features=true` a block is multiplied by its scale (wrist and the rest apart, where there are",
+        f"two) and clamped to +-{SCALED_RANGE:g}. With `env.critic_features=true` the critic's observation ends with",
+        f"{', '.join(f'*{feature.name}*' for feature in CRITIC)}, which the actor does not see.",
     ]
     for name in FEATURE_LAYERS:
-        layer = FeatureLayer(name)
+        layer = FeatureLayer(EnvConfig.model_validate({"features": name}))
         lines += ["", f"## `env.features={name}`: {layer.size} numbers", ""]
-        lines += ["| numbers | name | frame | unit | |", "|---|---|---|---|---|"]
+        lines += ["| numbers | name | frame | unit | scale | |", "|---|---|---|---|---|---|"]
         for feature in layer.features:
             part = layer.slices[feature.name]
             goal = "goal" if feature.is_goal else ""
-            lines.append(f"| {part.start}:{part.stop} | {feature.name} | {feature.frame} | {feature.unit} | {goal} |")
+            scale = " ".join(f"{value:g}" for value in dict.fromkeys(np.ravel(feature.scale).tolist()))
+            lines.append(
+                f"| {part.start}:{part.stop} | {feature.name} | {feature.frame} | {feature.unit} | {scale} | {goal} |"
+            )
     return "\n".join(lines) + "\n"
 
 

@@ -41,15 +41,17 @@ class StepArrays:
     reward_terms: Array
     terminated: Array
     truncated: Array
+    broken: Array
 
     @classmethod
     def allocate(cls, n: int, observation_size: int, n_terms: int) -> StepArrays:
-        """Fresh arrays: float32, and bool for the two ends."""
+        """Fresh arrays: float32, and bool for the ends."""
         return cls(
             np.zeros((n, observation_size), np.float32),
             np.zeros((n, observation_size), np.float32),
             np.zeros(n, np.float32),
             np.zeros((n, n_terms), np.float32),
+            np.zeros(n, bool),
             np.zeros(n, bool),
             np.zeros(n, bool),
         )
@@ -60,7 +62,7 @@ class GraspEnv:
     """N environments, one label each, stepped together.
 
     `indices` are the places of the labels in the whole set: they seed the environments, so that an
-    environment's noise does not depend on how the set is divided over processes.
+    environment's noise does not depend on how the set is divided over processes. `total` is the size of that set.
     """
 
     labels: Sequence[GraspLabel]
@@ -68,6 +70,7 @@ class GraspEnv:
     objects: Mapping[str, ObjectModel]
     config: Config
     indices: Sequence[int] = ()
+    total: int = 0
     make_scene: Callable[..., Scene] = Scene
     events: list[str] = field(default_factory=list)
 
@@ -75,11 +78,11 @@ class GraspEnv:
         n = len(self.labels)
         env = self.config.env
         self.num_envs, self.action_size = n, N_DOF
-        self.layer = FeatureLayer(env.features, env.goal_space)
+        self.layer = FeatureLayer(env)
         self.observation_size = self.layer.size
         self.reward = Reward(env.reward)
         self.reward_terms = self.reward.names
-        self.indices = self.indices or range(n)
+        self.indices, self.total = self.indices or range(n), self.total or n
         self.s = state_views(n)
         self.o = StepArrays.allocate(n, self.layer.size, len(self.reward.names))
         self.goal = make_goal(self.labels)
@@ -87,12 +90,17 @@ class GraspEnv:
         self.scenes = [self._new_scene(i) for i in range(n)]
         self.s.object_mass[:] = [scene.object_model.mass for scene in self.scenes]
         self._object_state = np.zeros((n, 13))
-        self._target = np.zeros((n, N_DOF))
+        self._target, self._hold_target = np.zeros((n, N_DOF)), np.zeros((n, N_DOF))
         self._limits = self.hand.limits.T.copy()
         self._rng: list[np.random.Generator] = []
         self.mode: Mode = "train"
         self.control: Controller = GRASP_CONTROLLERS[env.wrist](env.action)
+        self.hold = WristHold(env.action, self.s)
         self.alive = np.ones(n, bool)
+        self.active = np.ones(n, bool)
+        """Environments that take part in this epoch (`labels.per_epoch`)."""
+        self._removal = np.zeros(n, int)
+        self._drop_height = np.zeros(n)
         self.clock = np.zeros(n, int)
         self._retired_seconds = 0.0
 
@@ -123,10 +131,20 @@ class GraspEnv:
                 self._rebuild(i)
             self._place(i)
         self.alive[:] = True
+        self.active[:] = self._drawn(epoch)
         self._derive(slice(None))
         self._observe(self.o.observation)
         self.o.terminated[:], self.o.truncated[:] = False, False
         return self.o.observation
+
+    def _drawn(self, epoch: int) -> Array:
+        """(N,) bool: which environments take part in an epoch; the same draw in every process."""
+        count = self.config.labels.per_epoch
+        if self.mode != "train" or count is None or count >= self.total:
+            return np.ones(self.num_envs, bool)
+        # The spawn key keeps it apart from the environments' own streams.
+        sequence = np.random.SeedSequence([self.config.seed, epoch], spawn_key=(3,))
+        return np.isin(self.indices, np.random.default_rng(sequence).permutation(self.total)[:count])
 
     def _rebuild(self, i: int) -> None:
         """A world that exploded keeps its NaNs; only a new one is clean."""
@@ -152,9 +170,13 @@ class GraspEnv:
         s.object_start_W[i] = start.T_WO[:3, 3]
         s.table_height_W[i] = TABLE_TOP
         s.table_contact[i] = 0.0
+        s.table_gone[i], s.holding[i], s.episode_time[i] = 0.0, 0.0, 0.0
         self._engine_state(i)
         s.contact_impulse[i] = 0.0
         self.clock[i] = 0
+        hold = self.config.env.hold
+        if self.mode == "train" and hold.first_step is not None:
+            self._removal[i] = self._rng[i].integers(hold.first_step, hold.last_step + 1)
 
     def _with_noise(self, start: StartPose, rng: np.random.Generator) -> StartPose:
         noise = self.config.env.noise
@@ -169,40 +191,73 @@ class GraspEnv:
 
     def step(self, actions: Array) -> StepArrays:
         """One control step with residual actions (N, 51)."""
+        training_hold = self.mode == "train" and self.config.env.hold.first_step is not None
+        if training_hold:
+            self._begin_holds()
         self.control.bias(self.s, self.goal, self._target)
-        self._target += self.control.sigma * actions
+        if training_hold:
+            held = self.s.table_gone > 0
+            self.hold.bias(self.s, self.goal, self._hold_target)
+            self._target[held] = self._hold_target[held]
+            self._target += np.where(held[:, None], self.hold.sigma, self.control.sigma) * actions
+        else:
+            self._target += self.control.sigma * actions
         np.clip(self._target, self._limits[0], self._limits[1], out=self._target)
         self._advance()
-        self.clock += self.alive
+        self.clock += self.alive & self.active
         broken = self._broken()
         if broken.any():
             self._bury(np.flatnonzero(broken))
         self._derive(slice(None))
+        np.divide(self.clock, self.config.env.episode_steps, out=self.s.episode_time)
+        dropped = (self.s.table_gone > 0) & (self.s.object_pos_W[:, 2] < self._drop_height)
+        if training_hold:
+            np.multiply(self.s.table_gone, ~dropped, out=self.s.holding)
         r = relations(self.s, self.goal)
         self.reward(self.s, self.goal, r, self.o.reward_terms, self.o.reward)
         self.layer(self.s, self.goal, r, self.o.observation)
         # A broken episode ends with nothing gained, and is already placed anew.
         self.o.reward[broken], self.o.reward_terms[broken] = 0.0, 0.0
         self.o.final_observation[broken] = self.o.observation[broken]
-        self.o.terminated[:] = broken
+        self.o.broken[:] = self.o.terminated[:] = broken
         self.o.truncated[:] = False
         if self.mode == "train":
-            self.o.truncated[:] = ~broken & (self.clock >= self.config.env.episode_steps)
-            if self.o.truncated.any():
-                self._restart(np.flatnonzero(self.o.truncated))
+            fallen = training_hold & dropped & self.active & ~broken
+            self.o.terminated |= fallen
+            self.o.truncated[:] = ~self.o.terminated & (self.clock >= self.config.env.episode_steps) & self.active
+            ended = fallen | self.o.truncated
+            if ended.any():
+                self._restart(np.flatnonzero(ended))
         return self.o
+
+    def _begin_holds(self) -> None:
+        """Take the table away where it is time to, and hold the wrist there."""
+        rows = np.flatnonzero(self.active & (self.s.table_gone == 0) & (self.clock >= self._removal))
+        if not len(rows):
+            return
+        self.hold.catch(self.s, rows)
+        self.s.table_gone[rows] = 1.0
+        self._drop_height[rows] = self.s.object_pos_W[rows, 2] - self.config.env.hold.drop
+        for i in rows.tolist():
+            self._release(i, self.hold)
+
+    def _release(self, i: int, control: Controller) -> None:
+        """One world without its table, its wrist as stiff as the controller wants it."""
+        scene = self.scenes[i]
+        scene.set_table_top(LOWERED_TOP)
+        scene.set_gains(self.config.env.action, control.kp_position, scene.object_model.mass)
 
     def remove_table(self) -> None:
         """Take the table away and hold the wrist where it is: the stability test begins."""
         self.control = WristHold(self.config.env.action, self.s)
-        for scene in self.scenes:
-            scene.set_table_top(LOWERED_TOP)
-            scene.set_gains(self.config.env.action, self.control.kp_position, scene.object_model.mass)
+        self.s.table_gone[:] = 1.0
+        for i in range(self.num_envs):
+            self._release(i, self.control)
 
     def _advance(self) -> None:
         """The physics of one control step, for the worlds that have not exploded."""
         worlds = []
-        rows = np.flatnonzero(self.alive).tolist()
+        rows = np.flatnonzero(self.alive & self.active).tolist()
         for i in rows:
             self.scenes[i].set_target(self._target[i])
             worlds.append(self.scenes[i].world)
@@ -239,7 +294,7 @@ class GraspEnv:
             & (np.abs(body[:, 7:10]) < MAX_SPEED).all(axis=1)
             & (np.abs(body[:, 10:13]) < MAX_SPIN).all(axis=1)
         )
-        return self.alive & ~sane
+        return self.alive & self.active & ~sane
 
     def _bury(self, ids: Array) -> None:
         """Report broken episodes and place them anew, before anything is computed from what broke."""

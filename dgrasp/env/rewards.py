@@ -65,6 +65,11 @@ def wrist_angvel_penalty(s: SceneState, g: GraspGoal, r: Relations, c: RewardCon
     return np.sum(s.gv[:, 3:6] ** 2, axis=1)
 
 
+def hold_reward(s: SceneState, g: GraspGoal, r: Relations, c: RewardConfig) -> Array:
+    """1 for every step that the object is held without a table (not in the paper; `env.hold`)."""
+    return s.holding
+
+
 TERMS: dict[str, Term] = {
     "position": position_reward,
     "pose": pose_reward,
@@ -74,6 +79,7 @@ TERMS: dict[str, Term] = {
     "object_angular_velocity": object_angular_velocity_penalty,
     "wrist_linear_velocity": wrist_linvel_penalty,
     "wrist_angular_velocity": wrist_angvel_penalty,
+    "hold": hold_reward,
 }
 """Every term, by the name of its weight in `RewardConfig`."""
 

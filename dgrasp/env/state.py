@@ -24,6 +24,9 @@ _SHAPES: dict[str, tuple[int, ...]] = {
     "table_height_W": (),
     "object_mass": (),
     "table_contact": (),
+    "table_gone": (),
+    "holding": (),
+    "episode_time": (),
 }
 
 STATE_SIZE = sum(int(np.prod(shape)) for shape in _SHAPES.values())

@@ -72,7 +72,8 @@ class ProcessPool:
         self.labels = spec.labels
         self.num_envs = len(spec.labels)
         self.names = tuple(label.name for label in spec.labels)
-        self.observation_size = FeatureLayer(spec.config.env.features, spec.config.env.goal_space).size
+        layer = FeatureLayer(spec.config.env)
+        self.observation_size, self.actor_size = layer.size, layer.actor_size
         self.reward_terms = Reward(spec.config.env.reward).names
         self._spec, self._deadline_s = spec, spec.config.pool.hang_s
         self._workers = max(1, min(workers, self.num_envs))
@@ -195,7 +196,7 @@ class ProcessPool:
         self._shared.actions[:] = actions
         self._command(STEP)
         o = self._shared.out
-        return Step(o.observation, o.reward, o.terminated, o.truncated, o.final_observation, o.reward_terms)
+        return Step(o.observation, o.reward, o.terminated, o.truncated, o.final_observation, o.reward_terms, o.broken)
 
     def remove_table(self) -> None:
         self._command(pickle.dumps(("remove_table",)))

@@ -20,6 +20,7 @@ class SerialPool:
         self.labels, self.state = spec.labels, self.env.s
         self.num_envs, self.action_size = self.env.num_envs, self.env.action_size
         self.observation_size, self.reward_terms = self.env.observation_size, self.env.reward_terms
+        self.actor_size = self.env.layer.actor_size
         self._start = (time.perf_counter(), 0.0)
         self._trajectories: Trajectories | None = None
         self._incidents: list[Incident] = []
@@ -31,7 +32,7 @@ class SerialPool:
 
     def step(self, actions: Array) -> Step:
         o = self.env.step(actions)
-        return Step(o.observation, o.reward, o.terminated, o.truncated, o.final_observation, o.reward_terms)
+        return Step(o.observation, o.reward, o.terminated, o.truncated, o.final_observation, o.reward_terms, o.broken)
 
     def collect(self, actor: Actor, epoch: int, steps: int, advance: Callable[[int], None]) -> Trajectories:
         if self._trajectories is None or len(self._trajectories.reward) != steps:

@@ -54,6 +54,7 @@ class Shared:
             "reward_terms": ((n, n_terms), np.float32),
             "terminated": ((n,), np.bool_),
             "truncated": ((n,), np.bool_),
+            "broken": ((n,), np.bool_),
             "stop": ((1,), np.bool_),
         }
         self.memory, arrays = shared_arrays(layout, name)
@@ -67,8 +68,8 @@ class Shared:
 
     def write(self, env: GraspEnv, rows: slice) -> None:
         """Publish what an environment's step wrote."""
-        for name in ("observation", "final_observation", "reward", "reward_terms", "terminated", "truncated"):
-            getattr(self.out, name)[rows] = getattr(env.o, name)
+        for name, array in vars(env.o).items():
+            getattr(self.out, name)[rows] = array
         if env.mode != "train":
             copy_state(env.s, self.state, rows)
 
@@ -87,7 +88,8 @@ class Worker:
     def __init__(self, conn: Connection, spec: PoolSpec, w: int, workers: int, memory: str) -> None:
         self._conn, self._w, self._rows = conn, w, slice(w, None, workers)
         indices = list(range(len(spec.labels)))[self._rows]
-        self.env = GraspEnv([spec.labels[i] for i in indices], spec.hand, spec.objects, spec.config, indices)
+        labels = [spec.labels[i] for i in indices]
+        self.env = GraspEnv(labels, spec.hand, spec.objects, spec.config, indices, len(spec.labels))
         sizes = (len(spec.labels), self.env.observation_size, len(self.env.reward_terms), workers)
         self._shared = Shared(*sizes, name=memory)
         self._memory: SharedMemory | None = None

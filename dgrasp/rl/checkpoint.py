@@ -19,7 +19,7 @@ from torch import Tensor
 from dgrasp.errors import DataError
 from dgrasp.rl.networks import ActorCritic, Policy, make_mlp, parameter_shapes
 
-SCHEMA = 1
+SCHEMA = 2
 FOLDER = "checkpoints"
 _NAME = re.compile(r"\d{6,}\.pt")
 _MAX_BYTES = 2**30
@@ -193,7 +193,7 @@ def load(path: Path) -> Checkpoint:
 def _check_numbers(checkpoint: Checkpoint, path: Path) -> None:
     architecture = checkpoint.architecture
     hidden = architecture.get("hidden")
-    sizes = [architecture.get("observation_size"), architecture.get("action_size")]
+    sizes = [architecture.get(key) for key in ("observation_size", "actor_size", "action_size")]
     sizes += hidden if isinstance(hidden, list) else [None]
     plain = all(isinstance(value, (int, str)) for key, value in architecture.items() if key != "hidden")
     if not plain or not all(type(size) is int and size > 0 for size in sizes):
@@ -203,8 +203,8 @@ def _check_numbers(checkpoint: Checkpoint, path: Path) -> None:
         raise DataError(f"{path}: the parameters do not match the architecture {architecture}")
     for name, shape in shapes.items():
         _check_tensor(checkpoint.model[name], shape, f"{path}: parameter {name!r}")
-    if not bool((checkpoint.model["std"] > 0.0).all()):
-        raise DataError(f"{path}: an action standard deviation is not positive")
+    if not bool((checkpoint.model["std"] > 0.0).all() and checkpoint.model["return_scale"][1] > 0.0):
+        raise DataError(f"{path}: a standard deviation is not positive")
     if checkpoint.epoch < 0 or not 0.0 < checkpoint.learning_rate < float("inf"):
         raise DataError(f"{path}: epoch {checkpoint.epoch} and learning rate {checkpoint.learning_rate} cannot be")
 
@@ -263,8 +263,8 @@ def load_policy(path: Path) -> Policy:
     checkpoint = load(path)
     architecture = checkpoint.architecture
     observation_size, action_size = architecture["observation_size"], architecture["action_size"]
-    actor = make_mlp([observation_size, *architecture["hidden"], action_size])
+    actor = make_mlp([architecture["actor_size"], *architecture["hidden"], action_size])
     prefix = "actor."
     weights = {name[len(prefix) :]: value for name, value in checkpoint.model.items() if name.startswith(prefix)}
     actor.load_state_dict(weights)
-    return Policy(actor, observation_size, action_size)
+    return Policy(actor, observation_size, action_size, architecture["actor_size"])

@@ -27,11 +27,12 @@ class Actor:
     seed: int
 
     def means(self, observations: Array, out: Array) -> None:
-        """Writes the mean actions (n, A) for observations (n, O).
+        """Writes the mean actions (n, A) for observations (n, O), of which it takes the first that it needs.
 
         Row by row, so that a row's bits do not depend on how many others it is with.
         """
-        for x, row in zip(observations, out, strict=True):
+        inputs = self.layers[0][0].shape[1]
+        for x, row in zip(observations[:, :inputs], out, strict=True):
             for weight, bias in self.layers[:-1]:
                 x = weight @ x
                 x += bias
@@ -54,7 +55,7 @@ class Trajectories:
     observations: (T, N, O), actions: (T, N, A), reward: (T, N), reward_terms: (N, K) summed over time, all float32.
     terminated, truncated: (T, N) bool. last_observation: (N, O), after the last step.
     final_observations: (F, N, O), the last observations of an environment's truncated episodes, in their order.
-    valid: (N,) bool, false where a lost worker left the arrays unfinished.
+    valid: (N,) bool, false where an environment took no part, or a lost worker left the arrays unfinished.
     """
 
     observations: Array
@@ -131,11 +132,15 @@ class Stepped(Protocol):
     def final_observation(self) -> Array: ...
     @property
     def reward_terms(self) -> Array: ...
+    @property
+    def broken(self) -> Array: ...
 
 
 class Steppable(Protocol):
-    """Environments in this process."""
+    """Environments in this process; those that are not `active` after a reset take no part."""
 
+    @property
+    def active(self) -> Array: ...
     def reset(self, epoch: int) -> Array: ...
     def step(self, actions: Array) -> Stepped: ...
 
@@ -150,8 +155,9 @@ def collect(
 ) -> list[Incident]:
     """Fills `out` with an epoch of `env`, whose n environments have the given places in the whole set.
 
-    advance: called with n after every control step; what it raises ends the collection. Returns the episodes
-    that were terminated. Raises `DataError` if an observation or reward is not finite.
+    advance: called after every control step with how many environments made it; what it raises ends the
+    collection. Returns the episodes that the simulation broke. Raises `DataError` if an observation or reward
+    is not finite.
     """
     steps, n = out.reward.shape
     noise = np.stack([actor.noise(epoch, index, steps) for index in indices], axis=1)
@@ -162,9 +168,16 @@ def collect(
     out.reward_terms[:] = 0.0
     observation = env.reset(epoch)
     _check_finite(observation, "observation", indices, epoch, 0)
+    active = env.active
+    taking_part = int(np.count_nonzero(active))
     for t in range(steps):
         out.observations[t] = observation
-        actor.means(observation, action)
+        if active.all():
+            actor.means(observation, action)
+        else:
+            means = np.empty((np.count_nonzero(active), action.shape[1]), np.float32)
+            actor.means(observation[active], means)
+            action[active] = means
         action += noise[t]
         out.actions[t] = action
         result = env.step(action)
@@ -176,14 +189,14 @@ def collect(
         rows = np.flatnonzero(result.truncated)
         if len(rows):
             final = result.final_observation[rows]
-            _check_finite(final, "final observation", [indices[row] for row in rows], epoch, t + 1)
+            _check_finite(final, "final observation", [indices[row] for row in rows.tolist()], epoch, t + 1)
             out.final_observations[finals[rows], rows] = final
             finals[rows] += 1
-        for row in np.flatnonzero(result.terminated).tolist():
+        for row in np.flatnonzero(result.broken).tolist():
             incidents.append(Incident(indices[row], epoch, out.actions[: t + 1, row].copy()))
-        advance(n)
+        advance(taking_part)
     out.last_observation[:] = observation
-    out.valid[:] = True
+    out.valid[:] = active
     return incidents
 
 
@@ -191,8 +204,8 @@ def _check_finite(array: Array, name: str, indices: Sequence[int], epoch: int, s
     if np.isfinite(array).all():
         return
     place = np.argwhere(~np.isfinite(array))[0]
-    entry = f", entry {place[1]}," if len(place) > 1 else ""
+    env, entry = indices[int(place[0])], f", entry {place[1]}," if len(place) > 1 else ""
     raise DataError(
-        f"environment {indices[int(place[0])]}, epoch {epoch}, step {step}: the {name}{entry} is {array[tuple(place)]}; "
+        f"environment {env}, epoch {epoch}, step {step}: the {name}{entry} is {array[tuple(place)]}; "
         "expected finite numbers. The environment must end an unstable episode itself"
     )

@@ -47,16 +47,17 @@ def make_mlp(sizes: list[int], dtype: torch.dtype = torch.float32) -> nn.Sequent
     return nn.Sequential(*layers[:-1])
 
 
-def _initialise(network: nn.Sequential, generator: torch.Generator) -> None:
-    """Orthogonal weights of gain sqrt(2) in every layer, as in the authors' code, and biases of zero.
+def _initialise(network: nn.Sequential, generator: torch.Generator, output_gain: float) -> None:
+    """Orthogonal weights of gain sqrt(2), as in the authors' code, and biases of zero.
 
-    sqrt(2) keeps the scale of the activations through rectifiers; the last layer has it too because the
-    published policies were trained so. With zero biases the gain alone sets the scale of the outputs, and a
+    sqrt(2) keeps the scale of the activations through rectifiers; the published policies were trained with it in
+    the last layer too, which is `output_gain`. With zero biases the gain alone sets the scale of the outputs, and a
     zero observation has mean and value zero.
     """
     for layer in network:
         if isinstance(layer, nn.Linear):
-            nn.init.orthogonal_(layer.weight, gain=math.sqrt(2.0), generator=generator)
+            gain = output_gain if layer is network[-1] else math.sqrt(2.0)
+            nn.init.orthogonal_(layer.weight, gain=gain, generator=generator)
             nn.init.zeros_(layer.bias)
 
 
@@ -74,14 +75,20 @@ class ActorCritic(nn.Module):
         hidden: list[int],
         initial_std: float,
         generator: torch.Generator,
+        actor_size: int | None = None,
+        output_gain: float = math.sqrt(2.0),
     ) -> None:
         super().__init__()
         self.observation_size, self.action_size, self.hidden = observation_size, action_size, list(hidden)
-        self.actor = make_mlp([observation_size, *hidden, action_size])
+        self.actor_size = observation_size if actor_size is None else actor_size
+        self.actor = make_mlp([self.actor_size, *hidden, action_size])
         self.critic = make_mlp([observation_size, *hidden, 1])
         self.std = nn.Parameter(torch.full((action_size,), float(initial_std)))
-        _initialise(self.actor, generator)
-        _initialise(self.critic, generator)
+        self.register_buffer("return_scale", torch.tensor([0.0, 1.0]))
+        self.return_scale: Tensor
+        """Mean and standard deviation of the returns, in units of which the critic's network speaks."""
+        _initialise(self.actor, generator, output_gain)
+        _initialise(self.critic, generator, math.sqrt(2.0))
 
     def actor_arrays(self, seed: int) -> Actor:
         """The policy as it is now, for collecting experience; `seed` is of its noise."""
@@ -91,7 +98,7 @@ class ActorCritic(nn.Module):
 
     def evaluate(self, observation: Tensor, action: Tensor) -> Evaluated:
         """Judge actions (B, A) taken at observations (B, O), with gradients."""
-        mean = self.actor(observation)
+        mean = self.actor(observation[..., : self.actor_size])
         entropy = self.std.log().sum() + 0.5 * self.action_size * (1.0 + _LOG_2PI)
         log_prob = gaussian_log_prob(action, mean, self.std)
         return Evaluated(log_prob, self.value(observation), mean, self.std, entropy)
@@ -99,12 +106,22 @@ class ActorCritic(nn.Module):
     def value(self, observation: Tensor) -> Tensor:
         """Values (N,) of observations (N, O)."""
         value: Tensor = self.critic(observation).squeeze(-1)
-        return value
+        return value * self.return_scale[1] + self.return_scale[0]
+
+    @torch.no_grad()
+    def rescale_returns(self, mean: Tensor, std: Tensor) -> None:
+        """Give the critic's network another unit; its values stay what they are (van Hasselt et al. 2016)."""
+        last = self.critic[-1]
+        assert isinstance(last, nn.Linear)
+        old_mean, old_std = self.return_scale.clone()
+        last.weight.mul_(old_std / std)
+        last.bias.copy_((old_std * last.bias + old_mean - mean) / std)
+        self.return_scale.copy_(torch.stack([mean, std]))
 
     @torch.no_grad()
     def mean_action(self, observation: Tensor) -> Tensor:
         """The deterministic actions (N, A) for observations (N, O)."""
-        mean: Tensor = self.actor(observation)
+        mean: Tensor = self.actor(observation[..., : self.actor_size])
         return mean
 
     @torch.no_grad()
@@ -116,6 +133,7 @@ class ActorCritic(nn.Module):
         """What two models must share for the weights of one to fit the other."""
         return {
             "observation_size": self.observation_size,
+            "actor_size": self.actor_size,
             "action_size": self.action_size,
             "hidden": list(self.hidden),
             "activation": "leaky_relu",
@@ -124,14 +142,15 @@ class ActorCritic(nn.Module):
 
     def policy(self) -> Policy:
         """The deterministic policy; it shares the weights, so it is the present one until the next update."""
-        return Policy(self.actor, self.observation_size, self.action_size)
+        return Policy(self.actor, self.observation_size, self.action_size, self.actor_size)
 
 
 def parameter_shapes(architecture: dict[str, Any]) -> dict[str, tuple[int, ...]]:
     """Names and shapes of the parameters of an `ActorCritic` with this architecture."""
-    shapes: dict[str, tuple[int, ...]] = {"std": (architecture["action_size"],)}
-    for name, outputs in (("actor", architecture["action_size"]), ("critic", 1)):
-        sizes = [architecture["observation_size"], *architecture["hidden"], outputs]
+    action = architecture["action_size"]
+    shapes: dict[str, tuple[int, ...]] = {"std": (action,), "return_scale": (2,)}
+    for name, key, outputs in (("actor", "actor_size", action), ("critic", "observation_size", 1)):
+        sizes = [architecture[key], *architecture["hidden"], outputs]
         for index, (fan_in, fan_out) in enumerate(itertools.pairwise(sizes)):
             shapes[f"{name}.{2 * index}.weight"] = (fan_out, fan_in)
             shapes[f"{name}.{2 * index}.bias"] = (fan_out,)
@@ -141,8 +160,11 @@ def parameter_shapes(architecture: dict[str, Any]) -> dict[str, tuple[int, ...]]
 class Policy:
     """A deterministic policy between numpy arrays, for evaluation."""
 
-    def __init__(self, actor: nn.Module, observation_size: int, action_size: int) -> None:
+    def __init__(
+        self, actor: nn.Module, observation_size: int, action_size: int, actor_size: int | None = None
+    ) -> None:
         self._actor, self.observation_size, self.action_size = actor, observation_size, action_size
+        self._actor_size = actor_size or observation_size
         parameter = next(actor.parameters())
         self._device, self._dtype = parameter.device, parameter.dtype
 
@@ -154,6 +176,6 @@ class Policy:
                 f"the policy takes observations of shape (N, {self.observation_size}), got {observation.shape}; "
                 "use the features that it was trained with"
             )
-        inputs = torch.tensor(observation, dtype=self._dtype, device=self._device)
+        inputs = torch.tensor(observation[:, : self._actor_size], dtype=self._dtype, device=self._device)
         actions: Array = self._actor(inputs).cpu().numpy().astype(np.float32, copy=False)
         return actions

@@ -21,6 +21,7 @@ STATISTICS = (
 _KL_TOLERANCE = 2.0
 _RATE_FACTOR = 1.5
 _SMALLEST_STD = 1e-6
+_RETURN_RATE = 0.1
 
 
 def surrogate_loss(ratio: Tensor, advantages: Tensor, clip: float) -> Tensor:
@@ -86,6 +87,8 @@ class Ppo:
         returns by the old values). Raises `DataError` if the gradient is not finite.
         """
         statistics = {"explained_variance": _explained_variance(rollout.values, rollout.returns).item()}
+        if self.config.normalise_returns:
+            self._track_returns(rollout.returns)
         # The rollout was made with the standard deviation that the model still has.
         old_std = self.model.std.detach().clone()
         rows = []
@@ -109,15 +112,21 @@ class Ppo:
             self.learning_rate = adapted_learning_rate(self.learning_rate, kl, config)
 
         ratio = (now.log_prob - batch.log_probs).exp()
-        surrogate = surrogate_loss(ratio, batch.advantages, config.clip)
+        advantages = batch.advantages
+        if config.advantages_per_minibatch:
+            advantages = (advantages - advantages.mean()) / (advantages.std() + 1e-8)
+        surrogate = surrogate_loss(ratio, advantages, config.clip)
+        # In the critic's own unit, which is that of the returns unless they are normalised.
+        unit = self.model.return_scale[1]
         of_value = value_loss(
-            now.value, batch.values, batch.returns, config.clip if config.clipped_value_loss else None
-        )
+            now.value / unit, batch.values / unit, batch.returns / unit,
+            config.clip if config.clipped_value_loss else None,
+        )  # fmt: skip
         loss = surrogate + config.value_coefficient * of_value - config.entropy_coefficient * now.entropy
 
         self.optimizer.zero_grad()
         loss.backward()
-        grad_norm = nn.utils.clip_grad_norm_(self.model.parameters(), config.max_grad_norm).item()
+        grad_norm = self._clip_gradients()
         if not math.isfinite(grad_norm):
             raise DataError(
                 f"the gradient of the PPO loss is not finite (loss {loss.item():g}, KL {kl:g}, learning rate "
@@ -134,6 +143,25 @@ class Ppo:
             "clip_fraction": ((ratio - 1.0).abs() > config.clip).float().mean().item(),
             "grad_norm": grad_norm,
         }
+
+
+    def _clip_gradients(self) -> float:
+        """Limits the gradient's norm, of actor and critic together or each its own; the norm before."""
+        model, limit = self.model, self.config.max_grad_norm
+        if not self.config.separate_clipping:
+            return nn.utils.clip_grad_norm_(model.parameters(), limit).item()
+        of_actor = nn.utils.clip_grad_norm_([*model.actor.parameters(), model.std], limit)
+        of_critic = nn.utils.clip_grad_norm_(model.critic.parameters(), limit)
+        return float((of_actor.square() + of_critic.square()).sqrt())
+
+    def _track_returns(self, returns: Tensor) -> None:
+        """Follow mean and variance of the returns, the first epoch's at once and later ones slowly."""
+        mean, variance = returns.mean(), returns.var()
+        if not torch.equal(self.model.return_scale.cpu(), torch.tensor([0.0, 1.0])):
+            old_mean, old_std = self.model.return_scale
+            mean = old_mean + _RETURN_RATE * (mean - old_mean)
+            variance = old_std.square() + _RETURN_RATE * (variance - old_std.square())
+        self.model.rescale_returns(mean, variance.sqrt().clamp(min=1e-3))
 
 
 def _explained_variance(values: Tensor, returns: Tensor) -> Tensor:

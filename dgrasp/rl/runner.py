@@ -76,7 +76,8 @@ class Runner:
             )
         self.device = pick_device(config.device)
         self.model = ActorCritic(
-            env.observation_size, env.action_size, ppo.hidden, ppo.initial_std, epoch_generator(config.seed, 0)
+            env.observation_size, env.action_size, ppo.hidden, ppo.initial_std, epoch_generator(config.seed, 0),
+            env.actor_size, ppo.output_gain,
         ).to(self.device)
         self.ppo = Ppo(self.model, ppo)
         self.rollout = Rollout(self.device)
@@ -164,7 +165,8 @@ class Runner:
 
     @property
     def _steps_per_epoch(self) -> int:
-        return self.config.env.episode_steps * self.env.num_envs
+        taking_part = min(self.env.num_envs, self.config.labels.per_epoch or self.env.num_envs)
+        return self.config.env.episode_steps * taking_part
 
     def _open_log(self) -> Log:
         return Log(

@@ -17,6 +17,7 @@ class Step(NamedTuple):
     final_observation: (N, O) float32, the last observation of the episode that just ended; valid where
         terminated or truncated.
     reward_terms: (N, K) float32, weighted, in the order of `VecEnv.reward_terms`.
+    broken: (N,) bool, terminated because the simulation broke.
     """
 
     observation: Array
@@ -25,6 +26,7 @@ class Step(NamedTuple):
     truncated: Array
     final_observation: Array
     reward_terms: Array
+    broken: Array
 
 
 class VecEnv(Protocol):
@@ -37,6 +39,10 @@ class VecEnv(Protocol):
     @property
     def observation_size(self) -> int:
         """O."""
+
+    @property
+    def actor_size(self) -> int:
+        """How many of the observations, from the first, the actor sees."""
 
     @property
     def action_size(self) -> int:
@@ -55,7 +61,7 @@ class VecEnv(Protocol):
 
         What happens depends on the actor and (seed, epoch, environment) alone. `advance` is told now and then
         how many control steps have been made since it was last told. The next call overwrites the arrays.
-        Environments that were lost on the way are not `valid`.
+        Environments that took no part, or were lost on the way, are not `valid`.
         """
 
     def timing(self) -> dict[str, float]:

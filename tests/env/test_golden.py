@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from dgrasp.config import ActionConfig, RewardConfig
+from dgrasp.config import ActionConfig, EnvConfig, RewardConfig
 from dgrasp.control.controllers import WristGuidance
 from dgrasp.env.features import FeatureLayer, relations
 from dgrasp.env.goal import make_goal
@@ -67,9 +67,9 @@ def test_key_points_of_the_states(golden: dict[str, Any], state: SceneState, ref
     assert np.abs(R - golden["R_WH"]).max() < 1e-6
 
 
-@pytest.mark.parametrize("block", [feature.name for feature in FeatureLayer("phi").features])
+@pytest.mark.parametrize("block", [feature.name for feature in FeatureLayer(EnvConfig()).features])
 def test_observations(golden: dict[str, Any], state: SceneState, goal: GraspGoal, block: str) -> None:
-    layer = FeatureLayer("phi")
+    layer = FeatureLayer(EnvConfig())
     observation = np.zeros((len(state.gc), layer.size))
     layer(state, goal, relations(state, goal), observation)
     part = layer.slices[block]

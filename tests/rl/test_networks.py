@@ -131,3 +131,29 @@ def test_policy_shares_the_weights() -> None:
         model.get_parameter("actor.4.bias").add_(math.pi)
         expected = model.actor(torch.ones(1, 9)).numpy()
     assert np.array_equal(policy.act(observation), expected)
+
+
+def test_a_new_unit_of_the_returns_leaves_the_values_as_they_are() -> None:
+    model = _model()
+    observation = torch.linspace(-1.0, 1.0, 18).reshape(2, 9)
+    before = model.value(observation).detach()
+    model.rescale_returns(torch.tensor(-30.0), torch.tensor(12.0))
+    model.rescale_returns(torch.tensor(5.0), torch.tensor(0.5))
+    assert torch.allclose(model.value(observation), before, atol=1e-4)
+    # What the network itself says is (V - 5) / 0.5.
+    assert torch.allclose(model.critic(observation).squeeze(-1), (before - 5.0) / 0.5, atol=1e-3)
+
+
+def test_the_actor_does_not_see_what_is_the_critic_s() -> None:
+    model = ActorCritic(9, 3, [16], 1.0, torch.Generator().manual_seed(0), actor_size=7, output_gain=0.01)
+    observation = torch.linspace(-1.0, 1.0, 18).reshape(2, 9)
+    other = observation.clone()
+    other[:, 7:] += 1.0
+    assert torch.equal(model.mean_action(observation), model.mean_action(other))
+    assert not torch.equal(model.value(observation), model.value(other))
+    assert np.array_equal(model.policy().act(other.numpy()), model.mean_action(observation).numpy())
+    means = np.empty((2, 3), np.float32)
+    model.actor_arrays(1).means(other.numpy(), means)
+    assert means == pytest.approx(model.mean_action(observation).numpy(), abs=1e-6)
+    # A last layer of gain 0.01 begins near zero: orthonormal rows, times 0.01.
+    assert torch.linalg.matrix_norm(model.actor[-1].weight, 2).item() == pytest.approx(0.01, rel=1e-4)

@@ -181,3 +181,30 @@ def test_gradient_that_is_not_finite_is_refused() -> None:
         ppo.update(rollout, torch.Generator().manual_seed(0))
     assert torch.isfinite(before).all()
     assert torch.isfinite(torch.nn.utils.parameters_to_vector(ppo.model.parameters())).all()
+
+
+def test_normalised_returns_follow_the_rollouts() -> None:
+    ppo, rollout = _setup(normalise_returns=True, update_epochs=1, minibatches=1)
+    mean, std = rollout.returns.mean().item(), rollout.returns.std().item()
+    before = ppo.model.value(rollout.observations[0]).detach()
+    ppo._track_returns(rollout.returns)
+    assert ppo.model.return_scale.tolist() == pytest.approx([mean, std], rel=1e-4)
+    assert torch.allclose(ppo.model.value(rollout.observations[0]), before, atol=1e-4)
+    # Later epochs count a tenth: mean + 0.1 (10 + mean - mean), and the variance is the same.
+    ppo._track_returns(rollout.returns + 10.0)
+    assert ppo.model.return_scale.tolist() == pytest.approx([mean + 1.0, std], rel=1e-4)
+
+
+def test_separate_clipping_limits_each_gradient_by_itself() -> None:
+    ppo, _ = _setup(separate_clipping=True, max_grad_norm=0.5)
+    model = ppo.model
+    for parameter in model.parameters():
+        parameter.grad = torch.full_like(parameter, 1e-3)
+    for parameter in model.critic.parameters():
+        parameter.grad = torch.full_like(parameter, 100.0)
+    actor = [*model.actor.parameters(), model.std]
+    small = math.sqrt(sum(p.grad.square().sum().item() for p in actor))  # type: ignore[union-attr]
+    ppo._clip_gradients()
+    after = math.sqrt(sum(p.grad.square().sum().item() for p in actor))  # type: ignore[union-attr]
+    critic = math.sqrt(sum(p.grad.square().sum().item() for p in model.critic.parameters()))  # type: ignore[union-attr]
+    assert after == pytest.approx(small) and critic == pytest.approx(0.5, rel=1e-4)

@@ -40,6 +40,8 @@ class ToyEnv:
         self.reward = np.zeros(num_envs, np.float32)
         self.terms = np.zeros((num_envs, 2), np.float32)
         self.terminated, self.truncated = np.zeros(num_envs, bool), np.zeros(num_envs, bool)
+        self.broken, self.active = np.zeros(num_envs, bool), np.ones(num_envs, bool)
+        self.actor_size = self.observation_size
         self.events: list[str] = []
         self.incidents: list[Incident] = []
         self.names = tuple(f"toy/{env}" for env in range(num_envs))
@@ -69,7 +71,7 @@ class ToyEnv:
         self._observe(self.observation)
         if self.on_step is not None:
             self.on_step(self, self.epoch, self.step_count)
-        return Step(self.observation, self.reward, self.terminated, self.truncated, self.final, self.terms)
+        return Step(self.observation, self.reward, self.terminated, self.truncated, self.final, self.terms, self.broken)
 
     def collect(self, actor: Actor, epoch: int, steps: int, advance: Callable[[int], None]) -> Trajectories:
         finals = steps // self.episode_steps + 1

@@ -1,0 +1,97 @@
+"""The hold in training episodes: when the table goes, who moves the wrist, how a drop ends it; and drawn labels."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+
+from dgrasp.env.grasp_env import GraspEnv
+from tests.scenes import make_spec
+
+HOLD = ["env.hold.first_step=4", "env.hold.last_step=9", "env.reward.hold=2", "env.episode_steps=70"]
+
+
+def make(count: int, overrides: list[str]) -> GraspEnv:
+    spec = make_spec(count, overrides)
+    return GraspEnv(spec.labels, spec.hand, spec.objects, spec.config)
+
+
+@pytest.fixture
+def env() -> Iterator[GraspEnv]:
+    made = make(3, HOLD)
+    yield made
+    made.close()
+
+
+def test_the_table_goes_once_in_the_window_and_the_wrist_stays_from_then_on() -> None:
+    # The hands are still far away, and the objects fall; 10 m would end it.
+    env = make(3, [*HOLD, "env.hold.drop=10"])
+    rng = np.random.default_rng(0)
+    term = env.reward_terms.index("hold")
+    env.reset(1)
+    gone = np.full(3, -1)
+    wrist = np.zeros((3, 6))
+    for t in range(20):
+        before = env.s.gc[:, :6].copy()
+        o = env.step(rng.normal(size=(3, 51)))
+        new = (env.s.table_gone > 0) & (gone < 0)
+        gone[new], wrist[new] = t, before[new]
+        running = gone >= 0
+        assert np.array_equal(env._target[running, :6], np.clip(wrist[running], *env._limits[:, :6]))
+        assert np.array_equal(o.reward_terms[:, term], 2.0 * env.s.holding)
+        assert env.s.episode_time == pytest.approx((t + 1) / 70) and not o.terminated.any()
+    # Step t is the one that began with t steps done.
+    assert ((gone >= 4) & (gone <= 9)).all() and len(set(gone)) > 1
+    # The fingers still take actions.
+    assert np.abs(env._target[:, 6:] - env.s.gc[:, 6:]).max() > 1e-3
+    env.close()
+
+
+def test_a_dropped_object_ends_the_episode_and_is_no_incident(env: GraspEnv) -> None:
+    """Open hands hold nothing: in free fall 5 cm take 0.1 s, 3.5 control steps, and the episode starts anew."""
+    env.reset(1)
+    flat = np.zeros((3, 51))
+    flat[:, 6:] = -30.0
+    ended, o = np.zeros(3, bool), None
+    for _ in range(25):
+        o = env.step(flat)
+        for i in np.flatnonzero(o.terminated & ~ended):
+            assert not o.broken[i] and not o.truncated[i]
+            # The drop itself is not paid.
+            assert o.reward_terms[i, env.reward_terms.index("hold")] == 0.0
+            assert env.clock[i] == 0 and env.s.table_gone[i] == 0.0
+        ended |= o.terminated
+    assert ended.all() and env.events == []
+
+
+def test_without_a_hold_the_table_stays() -> None:
+    env = make(1, ["env.episode_steps=70"])
+    env.reset(1)
+    for _ in range(12):
+        o = env.step(np.zeros((1, 51)))
+    assert "hold" not in env.reward_terms and env.s.table_gone[0] == 0.0 and not o.terminated[0]
+    env.close()
+
+
+def test_the_same_labels_are_drawn_however_the_set_is_divided() -> None:
+    spec = make_spec(4, ["labels.per_epoch=2", "env.episode_steps=70"])
+    whole = GraspEnv(spec.labels, spec.hand, spec.objects, spec.config)
+    half = GraspEnv(spec.labels[1::2], spec.hand, spec.objects, spec.config, [1, 3], 4)
+    draws = []
+    for epoch in range(6):
+        whole.reset(epoch)
+        half.reset(epoch)
+        assert whole.active.sum() == 2 and np.array_equal(whole.active[1::2], half.active)
+        draws.append(tuple(whole.active))
+    assert len(set(draws)) > 2
+    before = whole.s.gc.copy()
+    whole.step(np.ones((4, 51)))
+    moved = np.abs(whole.s.gc - before).max(axis=1) > 0
+    assert np.array_equal(moved, whole.active)
+    # A test takes all of them.
+    whole.reset(0, "test")
+    assert whole.active.all()
+    whole.close()
+    half.close()
