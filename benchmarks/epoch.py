@@ -1,4 +1,4 @@
-"""How fast a training epoch is, and how much of it is physics: `python -m benchmarks.epoch --workers 1 2`.
+"""How fast a training epoch is, and how much of it is physics: `python -m benchmarks.epoch --workers 1,2`.
 
 Each row is one epoch as the runner does it (rollout and PPO update) after a warm-up of a few steps.
 Physics is the time inside the engine's own step, over the wall time of all workers, update included.
@@ -22,14 +22,14 @@ from dgrasp.rl.runner import Runner
 def main() -> None:
     """Print one row per number of workers, and the speed-up over the first."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--workers", type=int, nargs="+", default=[1, 2])
+    parser.add_argument("--workers", default="1,2", metavar="N,N,...", help="numbers of workers to compare")
     parser.add_argument("--epochs", type=int, default=2, help="epochs per row; the first, from rest, is left out")
     parser.add_argument("overrides", nargs="*", metavar="key=value")
     arguments = parser.parse_intermixed_args()
     torch.set_num_threads(1)
     base = 0.0
     print(f"{'workers':>7} {'steps/s':>9} {'physics':>8} {'update':>7} {'ratio':>6}")
-    for workers in arguments.workers:
+    for workers in map(int, arguments.workers.split(",")):
         config = load_config(
             None,
             [

@@ -39,13 +39,17 @@ class LabelsConfig(_Section):
 
 
 class PhysicsConfig(_Section):
-    """The simulated world (supplement, section B.1; ERRATA of the authors' code in docs/deviations.md)."""
+    """The simulated world (supplement, section B.1; ERRATA of the authors' code in docs/deviations.md).
+
+    preset: "faithful" is as near to RaiSim as the engine gets; "fast" gives some of that for speed (docs/physics.md).
+    """
 
     timestep: Positive = 0.00222
     substeps: Count = 13
     friction: NonNegative = 0.8
     official_compat: bool = True
     masses: Literal["official", "ycb"] = "official"
+    preset: Literal["faithful", "fast"] = "faithful"
     hand_table_collision: bool = True
     self_collision: bool = False
 

@@ -8,6 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raisim_like.contact import Contact
+from raisim_like.kinematics import jacobian, link_velocities
+from raisim_like.rigid_body import vector3
 from raisim_like.urdf import UrdfModel
 
 if TYPE_CHECKING:
@@ -25,11 +27,27 @@ class ArticulatedSystem:
     def __init__(self, world: World, body: int, model: UrdfModel) -> None:
         self._world, self.id, self.model = world, body, model
         self._gc, self._gv = np.zeros(model.dof), np.zeros(model.dof)
+        self.name = model.name
 
     @property
     def dof(self) -> int:
         """Degrees of freedom."""
         return self.model.dof
+
+    @property
+    def body_names(self) -> tuple[str, ...]:
+        """Names of the moving links, one per coordinate."""
+        return tuple(link.name for link in self.model.links)
+
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        """Names of the joints, one per coordinate."""
+        return self.model.joint_names
+
+    @property
+    def frame_names(self) -> tuple[str, ...]:
+        """Names of all links of the file, fixed ones included: the frames of the methods below."""
+        return tuple(self.model.frames)
 
     @property
     def joint_limits(self) -> Array:
@@ -57,6 +75,11 @@ class ArticulatedSystem:
         self._world.engine_world.get_joint_state(self.id, self._gc, self._gv)
         return self._gv.copy()
 
+    @property
+    def state(self) -> tuple[Array, Array]:
+        """Generalised coordinates and velocities, (dof,) each."""
+        return self.generalized_coordinate, self.generalized_velocity
+
     def set_pd_gains(self, kp: Any, kd: Any) -> None:
         """PD gains (dof,) or scalars, N m/rad and N m s/rad (N/m and N s/m for prismatic joints)."""
         self._world.engine_world.set_pd_gains(self.id, self._vector(kp, "kp"), self._vector(kd, "kd"))
@@ -75,17 +98,107 @@ class ArticulatedSystem:
 
     def frame_pose(self, frame: str) -> tuple[Array, Array]:
         """World rotation (3, 3) and origin (3,) of a link frame of the URDF, fixed ones included."""
+        index, T = self._frame(frame)
+        R, t = self._link_poses()
+        return R[index] @ T[:3, :3], R[index] @ T[:3, 3] + t[index]
+
+    def frame_velocity(self, frame: str) -> tuple[Array, Array]:
+        """Velocity (3,) m/s of a link frame's origin and its angular velocity (3,) rad/s, world."""
+        linear, angular = self.frame_jacobian(frame)
+        velocity = self.generalized_velocity
+        return linear @ velocity, angular @ velocity
+
+    def frame_jacobian(self, frame: str) -> tuple[Array, Array]:
+        """(3, dof) each: what a link frame's velocity and angular velocity are per generalised velocity, world."""
+        index, T = self._frame(frame)
+        R, t = self._link_poses()
+        return jacobian(self.model, R, t, index, R[index] @ T[:3, 3] + t[index])
+
+    def set_external_force(self, frame: str, force: Any, position: Any | None = None) -> None:
+        """Force (3,) N, world, on a link in the next substep only, added to what else is set.
+
+        frame: name of the link. position: (3,) m in that frame, where it acts; by default the link's centre of mass
+        (that of the moving link which a fixed one belongs to).
+        """
+        index, T = self._frame(frame)
+        R, t = self._link_poses()
+        at = self.model.links[index].com if position is None else T[:3, :3] @ vector3(position, "position") + T[:3, 3]
+        linear, _ = jacobian(self.model, R, t, index, R[index] @ at + t[index])
+        self._world.engine_world.apply_generalized_force(self.id, linear.T @ vector3(force, "force"))
+
+    def set_external_torque(self, frame: str, torque: Any) -> None:
+        """Torque (3,) N m, world, on a link in the next substep only, added to what else is set."""
+        _, angular = self.frame_jacobian(frame)
+        self._world.engine_world.apply_generalized_force(self.id, angular.T @ vector3(torque, "torque"))
+
+    # Mechanics of the links as the file has them; control and engine add inertia that is not counted here.
+
+    @property
+    def mass(self) -> float:
+        """kg of the moving links."""
+        return self.model.mass
+
+    @property
+    def center_of_mass(self) -> Array:
+        """(3,) m, world."""
+        return self._masses @ self._centers(*self._link_poses()) / self.mass
+
+    @property
+    def linear_momentum(self) -> Array:
+        """(3,) kg m/s, world."""
+        _, velocities, _, _ = self._motion()
+        return self._masses @ velocities
+
+    def angular_momentum(self, about: Any = (0, 0, 0)) -> Array:
+        """(3,) kg m^2/s, world, about a point of the world."""
+        centers, velocities, omega, inertias = self._motion()
+        arms = centers - np.asarray(about, dtype=float)
+        spins = np.matmul(inertias, omega[:, :, None])[..., 0]
+        return (self._masses[:, None] * np.cross(arms, velocities) + spins).sum(axis=0)
+
+    @property
+    def kinetic_energy(self) -> float:
+        """J."""
+        _, velocities, omega, inertias = self._motion()
+        turning = np.einsum("ni,nij,nj->", omega, inertias, omega)
+        return float(self._masses @ (velocities**2).sum(axis=1) + turning) / 2
+
+    @property
+    def potential_energy(self) -> float:
+        """J in the world's gravity, zero at the world's origin."""
+        return -float(self._world.gravity @ (self._masses @ self._centers(*self._link_poses())))
+
+    def contacts(self) -> list[Contact]:
+        """Contact points of the last step."""
+        return self._world.engine_world.contacts(self.id)
+
+    def _frame(self, frame: str) -> tuple[int, Array]:
+        """The moving link that a frame belongs to, and the frame's pose there."""
         if frame not in self.model.frames:
             raise ValueError(f"{self.model.path} has no link {frame!r}; it has {sorted(self.model.frames)}")
         index, T = self.model.frames[frame]
         if index < 0:
             raise ValueError(f"link {frame!r} is part of the fixed base")
-        R, t = self._world.engine_world.link_poses(self.id)
-        return R[index] @ T[:3, :3], R[index] @ T[:3, 3] + t[index]
+        return index, T
 
-    def contacts(self) -> list[Contact]:
-        """Contact points of the last step."""
-        return self._world.engine_world.contacts(self.id)
+    def _link_poses(self) -> tuple[Array, Array]:
+        return self._world.engine_world.link_poses(self.id)
+
+    @property
+    def _masses(self) -> Array:
+        return np.array([link.mass for link in self.model.links])
+
+    def _centers(self, R: Array, t: Array) -> Array:
+        coms = np.array([link.com for link in self.model.links])
+        return t + np.matmul(R, coms[:, :, None])[..., 0]
+
+    def _motion(self) -> tuple[Array, Array, Array, Array]:
+        """Centres of mass, their velocities, angular velocities (dof, 3) and inertias (dof, 3, 3), world."""
+        R, t = self._link_poses()
+        centers = self._centers(R, t)
+        linear, omega = link_velocities(self.model, R, t, self.generalized_velocity)
+        inertias = np.array([link.inertia for link in self.model.links])
+        return centers, linear + np.cross(omega, centers - t), omega, R @ inertias @ np.swapaxes(R, -1, -2)
 
     def _vector(self, value: Any, what: str) -> Array:
         vector = np.broadcast_to(np.asarray(value, dtype=float), (self.dof,)) if np.ndim(value) == 0 else np.asarray(

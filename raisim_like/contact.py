@@ -26,3 +26,8 @@ class Contact:
     depth: float
     impulse: float
     tangential_impulse_W: NDArray[np.float64]
+
+    @property
+    def impulse_W(self) -> NDArray[np.float64]:
+        """(3,) N s: the whole impulse on A, world; what B gets is its negative."""
+        return self.impulse * self.normal_W + self.tangential_impulse_W

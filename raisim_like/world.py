@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -11,9 +12,10 @@ from numpy.typing import NDArray
 
 from raisim_like.articulated_system import ArticulatedSystem
 from raisim_like.engines import make_engine
+from raisim_like.engines.protocol import Preset
 from raisim_like.errors import EngineError
 from raisim_like.material import MaterialTable
-from raisim_like.rigid_body import RigidBody
+from raisim_like.rigid_body import RigidBody, vector3
 from raisim_like.shapes import Shape
 from raisim_like.urdf import UrdfModel, read_urdf
 
@@ -23,21 +25,35 @@ Array = NDArray[Any]
 STATIC, BODY, SYSTEM = 1, 2, 4
 
 
+@dataclass(frozen=True)
+class Snapshot:
+    """What `World.save` returns and `World.restore` takes; nothing to look into."""
+
+    world: World
+    engine_state: Any
+    gravity: Array
+    time: float
+
+
 def collision_mask(kind: int, collides_with: int) -> int:
     """Mask for `World.add_*`: a kind (STATIC, BODY, SYSTEM) and the kinds that it collides with."""
     return kind | collides_with << 8
 
 
 class World:
-    """A simulated world (RaiSim's `World`). Gravity is (0, 0, -9.81) until set."""
+    """A simulated world (RaiSim's `World`). Gravity is (0, 0, -9.81) until set.
 
-    def __init__(self, engine: str = "pybullet", timestep: float = 0.00222) -> None:
+    preset: "faithful" is as near to RaiSim as the engine gets, "fast" trades some of that for speed.
+    """
+
+    def __init__(self, engine: str = "pybullet", timestep: float = 0.00222, preset: Preset = "faithful") -> None:
         if not timestep > 0:
             raise ValueError(f"timestep must be positive, got {timestep}")
         self.engine = make_engine(engine)
-        self.engine_world = self.engine.make_world(timestep)
+        self.engine_world = self.engine.make_world(timestep, preset)
         self.timestep = timestep
         self.materials = MaterialTable()
+        self.objects: list[RigidBody | ArticulatedSystem] = []
         self.set_gravity((0.0, 0.0, -9.81))
         self.world_time = 0.0
 
@@ -47,7 +63,13 @@ class World:
 
     def set_gravity(self, gravity: Any) -> None:
         """(3,) m/s^2, world."""
-        self.engine_world.set_gravity(np.asarray(gravity, dtype=float))
+        self._gravity = vector3(gravity, "gravity")
+        self.engine_world.set_gravity(self._gravity)
+
+    @property
+    def gravity(self) -> Array:
+        """(3,) m/s^2, world."""
+        return self._gravity.copy()
 
     def set_material_pair(self, first: str, second: str, friction: float) -> None:
         """Friction between two materials; applies at once to all bodies."""
@@ -75,7 +97,9 @@ class World:
             shapes, mass, np.asarray(center_of_mass, dtype=float), np.asarray(inertia, dtype=float), material, mask
         )
         self.engine_world.apply_materials(self.materials)
-        return RigidBody(self, body, mass)
+        made = RigidBody(self, body, mass, np.array(center_of_mass, dtype=float), np.array(inertia, dtype=float))
+        self.objects.append(made)
+        return made
 
     def add_box(self, x: float, y: float, z: float, mass: float, material: str = "default") -> RigidBody:
         """A solid box with full side lengths, m."""
@@ -116,11 +140,39 @@ class World:
             mask = collision_mask(SYSTEM, STATIC | BODY | SYSTEM)
         body = self.engine_world.add_articulated(model, material, mask, self_collision, enforce_limits)
         self.engine_world.apply_materials(self.materials)
-        return ArticulatedSystem(self, body, model)
+        made = ArticulatedSystem(self, body, model)
+        self.objects.append(made)
+        return made
 
     def remove(self, item: RigidBody | ArticulatedSystem) -> None:
         """Take a body or system out of the world."""
         self.engine_world.remove(item.id)
+        self.objects.remove(item)
+
+    def get_object(self, name: str) -> RigidBody | ArticulatedSystem:
+        """The first object of that `name`; ValueError says which names there are."""
+        for item in self.objects:
+            if item.name == name:
+                return item
+        raise ValueError(f"no object is named {name!r}; there are {sorted({o.name for o in self.objects if o.name})}")
+
+    def save(self) -> Snapshot:
+        """Everything that moves and drives: states, controllers, contacts, pending forces, gravity and time.
+
+        Materials, and which bodies there are, are not in it.
+        """
+        return Snapshot(self, self.engine_world.save(), self.gravity, self.world_time)
+
+    def restore(self, snapshot: Snapshot) -> None:
+        """Go back to a snapshot of this world. What follows is the same to the bit each time.
+
+        Raises `EngineError` for another world's snapshot, or when bodies have come or gone since.
+        """
+        if snapshot.world is not self:
+            raise EngineError("this snapshot is of another world")
+        self.engine_world.restore(snapshot.engine_state)
+        self.set_gravity(snapshot.gravity)
+        self.world_time = snapshot.time
 
     def integrate(self, substeps: int = 1) -> None:
         """Advance by a number of timesteps."""

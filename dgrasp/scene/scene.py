@@ -33,7 +33,7 @@ class Scene:
 
     def __init__(self, hand: HandModel, model: ObjectModel, physics: PhysicsConfig, engine: str) -> None:
         self.hand_model, self.object_model = hand, model
-        self.world = World(engine, physics.timestep)
+        self.world = World(engine, physics.timestep, physics.preset)
         self.world.set_default_material(physics.friction)
         hits = BODY | (STATIC if physics.hand_table_collision else 0)
         self.hand = self.world.add_articulated_system(

@@ -2,45 +2,50 @@
 
 from __future__ import annotations
 
-import os
-import tempfile
 from collections.abc import Sequence
 
 import numpy as np
 
 from raisim_like.contact import Contact
+from raisim_like.engines.body_frame import BodyFrame
+from raisim_like.engines.bullet_bodies import make_articulated, make_body
+from raisim_like.engines.bullet_contacts import contacts_of, link_impulses, touching
 from raisim_like.engines.bullet_pd import ImplicitPd, integrate_worlds
-from raisim_like.engines.bullet_shapes import SHAPE_TYPES, collision_filter, geometry, xyzw
-from raisim_like.engines.bullet_urdf import compound_urdf, normalised_urdf
-from raisim_like.engines.protocol import Array, EngineWorld
+from raisim_like.engines.bullet_shapes import xyzw
+from raisim_like.engines.bullet_state import BulletSnapshot
+from raisim_like.engines.pending import Pending
+from raisim_like.engines.protocol import Array, EngineWorld, Preset
 from raisim_like.engines.quiet_pybullet import pybullet as p
 from raisim_like.errors import EngineError
 from raisim_like.material import MaterialTable
-from raisim_like.rotations import matrix_from_quaternion, quaternion_from_matrix
+from raisim_like.rotations import matrix_from_quaternion
 from raisim_like.shapes import Shape
 from raisim_like.urdf import UrdfModel
 
 # Engine settings, each measured on grasps of 20 objects (docs/physics.md).
 SOLVER_ITERATIONS = 100
 """Light objects between ten stiff contacts need this many to stop sinking into the fingers."""
+RESIDUAL: dict[Preset, float] = {"faithful": 0.0, "fast": 1e-7}
+"""At this change per iteration the solver stops. 1e-7 holds the same grasps as 0, but lets blocks creep on slopes."""
 CONTACT_BREAKING_THRESHOLD = 0.001
 """m. Bullet's 0.02 keeps contact points of parts that are centimetres apart and costs 45% of the speed."""
 
-class _Body:
-    """A rigid body; Bullet's frame sits at the centre of mass along the principal axes."""
+CONTROL_STEP = 13
+"""Substeps at most for which the controller keeps its mass matrices; it turns unstable when they are far from true."""
 
-    def __init__(self, uid: int, material: str, com: Array, axes: Array) -> None:
-        self.uid, self.material = uid, material
-        self.com = com
-        self.axes = axes
-        self.plain = bool(np.all(com == 0) and np.array_equal(axes, np.eye(3)))
+
+class _Body:
+    """A rigid body, which Bullet simulates in its inertial frame."""
+
+    def __init__(self, material: str, frame: BodyFrame) -> None:
+        self.material, self.frame = material, frame
 
 
 class BulletWorld:
     """One DIRECT client of PyBullet. See `EngineWorld` for the methods."""
 
-    def __init__(self, timestep: float) -> None:
-        self.timestep = timestep
+    def __init__(self, timestep: float, preset: Preset = "faithful") -> None:
+        self.timestep, self.preset = timestep, preset
         self.step_seconds = 0.0
         self.client = p.connect(p.DIRECT)
         if self.client < 0:
@@ -49,10 +54,8 @@ class BulletWorld:
         self.systems: dict[int, ImplicitPd] = {}
         self._system_material: dict[int, str] = {}
         p.setPhysicsEngineParameter(
-            fixedTimeStep=timestep,
-            numSubSteps=0,
             numSolverIterations=SOLVER_ITERATIONS,
-            solverResidualThreshold=0.0,
+            solverResidualThreshold=RESIDUAL[preset],
             enableConeFriction=1,
             # With error reduction, grasps that start inside the object are pushed into holding.
             contactERP=0.0,
@@ -64,6 +67,28 @@ class BulletWorld:
             collisionFilterMode=0,
             physicsClientId=self.client,
         )
+
+        self._pending, self._lasting = Pending(), dict[int, Array]()
+        self._block = 0
+        self.set_block(1)
+
+    @property
+    def _impulse_per_force(self) -> float:
+        """s. Bullet reports the last substep's impulses divided by the duration of the whole call."""
+        return self._block * self.timestep
+
+    def set_block(self, steps: int) -> None:
+        """Let Bullet take that many timesteps per call."""
+        if steps != self._block:
+            p.setPhysicsEngineParameter(
+                fixedTimeStep=steps * self.timestep, numSubSteps=steps, physicsClientId=self.client
+            )
+            self._block = steps
+
+    def bare_step(self, substeps: int) -> None:
+        self.set_block(1)
+        for _ in range(substeps):
+            p.stepSimulation(physicsClientId=self.client)
 
     def close(self) -> None:
         if self.client >= 0:
@@ -78,72 +103,14 @@ class BulletWorld:
     def add_body(
         self, shapes: Sequence[Shape], mass: float, com: Array, inertia: Array, material: str, collision_mask: int
     ) -> int:
-        if not shapes:
-            raise EngineError("a body needs at least one shape")
-        moments, axes = np.linalg.eigh(np.asarray(inertia, dtype=float))
-        if np.allclose(inertia, np.diag(np.diag(inertia)), atol=0, rtol=0):
-            moments, axes = np.diag(inertia).copy(), np.eye(3)
-        elif np.linalg.det(axes) < 0:
-            axes[:, 0] *= -1
-        for shape in shapes:
-            if shape.kind in ("mesh", "hull") and (shape.file is None or not shape.file.is_file()):
-                raise EngineError(f"mesh file {shape.file} does not exist")
-        if len(shapes) == 1:
-            uid = p.createMultiBody(
-                baseMass=float(mass),
-                baseCollisionShapeIndex=self._collision_shape(shapes[0]),
-                baseInertialFramePosition=[float(v) for v in com],
-                baseInertialFrameOrientation=xyzw(quaternion_from_matrix(axes)),
-                physicsClientId=self.client,
-            )
-        else:
-            # A URDF, for PyBullet's arrays of shapes overflow beyond 16 parts without a word.
-            uid = self._load(compound_urdf(shapes, mass, com, axes), p.URDF_USE_INERTIA_FROM_FILE, fixed=False)
-        if uid < 0:
-            raise EngineError("PyBullet refused the body")
-        if mass > 0:
-            p.changeDynamics(
-                uid,
-                -1,
-                localInertiaDiagonal=[float(v) for v in moments],
-                linearDamping=0.0,
-                angularDamping=0.0,
-                rollingFriction=0.0,
-                spinningFriction=0.0,
-                restitution=0.0,
-                activationState=p.ACTIVATION_STATE_DISABLE_SLEEPING,
-                physicsClientId=self.client,
-            )
-        p.setCollisionFilterGroupMask(uid, -1, *collision_filter(collision_mask), physicsClientId=self.client)
-        self.bodies[uid] = _Body(uid, material, np.asarray(com, dtype=float), axes)
-        return int(uid)
-
-    def _collision_shape(self, shape: Shape) -> int:
-        index = p.createCollisionShape(
-            SHAPE_TYPES[shape.kind],
-            collisionFramePosition=list(shape.position),
-            collisionFrameOrientation=xyzw(shape.quaternion),
-            physicsClientId=self.client,
-            **geometry(shape),
-        )
-        if index < 0:
-            raise EngineError(f"PyBullet refused the collision shape {shape}")
-        return int(index)
-
-    def _load(self, text: str, flags: int, fixed: bool) -> int:
-        """Load a URDF given as text; the world keeps no file."""
-        handle, path = tempfile.mkstemp(suffix=".urdf")
-        try:
-            with os.fdopen(handle, "w", encoding="utf-8") as stream:
-                stream.write(text)
-            return int(p.loadURDF(path, useFixedBase=int(fixed), flags=flags, physicsClientId=self.client))
-        except p.error as error:
-            raise EngineError(f"PyBullet could not load a body: {error}") from None
-        finally:
-            os.unlink(path)
+        frame = BodyFrame(com, inertia)
+        uid = make_body(self.client, shapes, mass, frame, collision_mask)
+        self.bodies[uid] = _Body(material, frame)
+        return uid
 
     def remove(self, body: int) -> None:
         p.removeBody(body, physicsClientId=self.client)
+        self._pending.forget(body)
         self.bodies.pop(body, None)
         self.systems.pop(body, None)
         self._system_material.pop(body, None)
@@ -160,65 +127,25 @@ class BulletWorld:
                 )
 
     def set_body_state(self, body: int, state: Array) -> None:
-        info = self.bodies[body]
-        position, quaternion, linear, angular = state[:3], state[3:7], state[7:10], state[10:13]
-        if not info.plain:
-            R = matrix_from_quaternion(quaternion)
-            offset = R @ info.com
-            position = position + offset
-            linear = linear + np.cross(angular, offset)
-            quaternion = quaternion_from_matrix(R @ info.axes)
-        p.resetBasePositionAndOrientation(
-            body, [float(v) for v in position], xyzw(quaternion), physicsClientId=self.client
-        )
-        p.resetBaseVelocity(
-            body, [float(v) for v in linear], [float(v) for v in angular], physicsClientId=self.client
-        )
+        inertial = [float(v) for v in self.bodies[body].frame.to_inertial(state)]
+        p.resetBasePositionAndOrientation(body, inertial[:3], xyzw(inertial[3:7]), physicsClientId=self.client)
+        p.resetBaseVelocity(body, inertial[7:10], inertial[10:], physicsClientId=self.client)
 
     def get_body_state(self, body: int, out: Array) -> None:
-        info = self.bodies[body]
         position, (x, y, z, w) = p.getBasePositionAndOrientation(body, physicsClientId=self.client)
         linear, angular = p.getBaseVelocity(body, physicsClientId=self.client)
         out[:3], out[3:7], out[7:10], out[10:13] = position, (w, x, y, z), linear, angular
-        if not info.plain:
-            R = matrix_from_quaternion(out[3:7]) @ info.axes.T
-            offset = R @ info.com
-            out[:3] -= offset
-            out[3:7] = quaternion_from_matrix(R)
-            out[7:10] -= np.cross(out[10:13], offset)
+        self.bodies[body].frame.from_inertial(out)
 
     # Articulated systems -----------------------------------------------------------------------
 
     def add_articulated(
         self, model: UrdfModel, material: str, collision_mask: int, self_collision: bool, enforce_limits: bool
     ) -> int:
-        flags = p.URDF_USE_INERTIA_FROM_FILE
-        if self_collision:
-            flags |= p.URDF_USE_SELF_COLLISION | p.URDF_USE_SELF_COLLISION_EXCLUDE_ALL_PARENTS
-        uid = self._load(normalised_urdf(model, enforce_limits), flags, fixed=True)
-        names = [
-            p.getJointInfo(uid, i, physicsClientId=self.client)[1].decode()
-            for i in range(p.getNumJoints(uid, physicsClientId=self.client))
-        ]
-        if names != list(model.joint_names):
-            raise EngineError(f"PyBullet ordered the joints of {model.path} as {names}")
-        for link in range(-1, model.dof):
-            p.changeDynamics(
-                uid,
-                link,
-                linearDamping=0.0,
-                angularDamping=0.0,
-                jointDamping=0.0,
-                rollingFriction=0.0,
-                spinningFriction=0.0,
-                restitution=0.0,
-                activationState=p.ACTIVATION_STATE_DISABLE_SLEEPING,
-                physicsClientId=self.client,
-            )
-            p.setCollisionFilterGroupMask(uid, link, *collision_filter(collision_mask), physicsClientId=self.client)
+        uid = make_articulated(self.client, model, collision_mask, self_collision, enforce_limits)
         self.systems[uid] = ImplicitPd(self.client, uid, model, self.timestep)
         self._system_material[uid] = material
-        return int(uid)
+        return uid
 
     def set_base_pose(self, body: int, position: Array, quaternion: Array) -> None:
         p.resetBasePositionAndOrientation(
@@ -240,6 +167,30 @@ class BulletWorld:
 
     def set_feed_forward(self, body: int, force: Array) -> None:
         self.systems[body].feed_forward[:] = force
+
+    def apply_wrench(self, body: int, force: Array, torque: Array) -> None:
+        self._pending.add_wrench(body, force, torque)
+
+    def apply_generalized_force(self, body: int, force: Array) -> None:
+        self._pending.add_generalized(body, force)
+
+    def begin_pending(self) -> bool:
+        """Whether forces are pending that last for one substep; they now act, until `end_pending`."""
+        for body, (force, torque) in self._pending.wrenches.items():
+            position, _ = p.getBasePositionAndOrientation(body, physicsClientId=self.client)
+            p.applyExternalForce(body, -1, force.tolist(), position, p.WORLD_FRAME, physicsClientId=self.client)
+            p.applyExternalTorque(body, -1, torque.tolist(), p.WORLD_FRAME, physicsClientId=self.client)
+        for body, extra in self._pending.generalized.items():
+            system = self.systems[body]
+            self._lasting[body] = system.feed_forward.copy()
+            system.feed_forward += extra
+        return bool(self._pending)
+
+    def end_pending(self) -> None:
+        """Takes the pending forces away; Bullet has dropped those on rigid bodies itself."""
+        for body, force in self._lasting.items():
+            self.systems[body].feed_forward[:] = force
+        self._lasting, self._pending = {}, Pending()
 
     def mass_matrix(self, body: int) -> Array:
         system = self.systems[body]
@@ -264,30 +215,33 @@ class BulletWorld:
     # Contacts and pictures ---------------------------------------------------------------------
 
     def link_impulses(self, body: int, other: int, out: Array) -> None:
-        out[:] = 0.0
-        for point in p.getContactPoints(body, other, physicsClientId=self.client):
-            # Bullet keeps several points per pair, some of them almost empty: only their sum means something.
-            if point[3] >= 0:
-                out[point[3]] += point[9] * self.timestep
+        link_impulses(self.client, body, other, self._impulse_per_force, out)
 
     def touching(self, body: int, other: int) -> bool:
-        return any(point[9] > 0.0 for point in p.getContactPoints(body, other, physicsClientId=self.client))
+        return touching(self.client, body, other)
 
     def contacts(self, body: int) -> list[Contact]:
-        found = []
-        # Asked for one body, Bullet turns pairs round but leaves friction's direction as it was; so ask for all.
-        for c in p.getContactPoints(physicsClientId=self.client):
-            if body not in (c[1], c[2]):
-                continue
-            a, b, on_b, sign = (0, 1, c[6], 1.0) if c[1] == body else (1, 0, c[5], -1.0)
-            tangential = np.array(c[11]) * c[10] + np.array(c[13]) * c[12]
-            found.append(
-                Contact(
-                    c[1 + a], c[1 + b], c[3 + a], c[3 + b], np.array(on_b), sign * np.array(c[7]), -c[8],
-                    c[9] * self.timestep, sign * tangential * self.timestep,
-                )
-            )  # fmt: skip
-        return found
+        return contacts_of(self.client, body, self._impulse_per_force)
+
+    def save(self) -> BulletSnapshot:
+        snapshot = BulletSnapshot(self.client, self._everybody(), self.systems, self._block)
+        snapshot.pending = self._pending.copy()
+        # What Bullet restores is a little other than what it saved: contacts have fewer points. Going on from
+        # what is restored makes this run and those after a restore the same.
+        self.restore(snapshot)
+        return snapshot
+
+    def restore(self, snapshot: BulletSnapshot) -> None:
+        if self._everybody() != snapshot.bodies:
+            raise EngineError("bodies have come or gone since the snapshot was taken")
+        self.set_block(snapshot.block)
+        # Without this, the order of the contacts, and with it rounding, would depend on what came in between.
+        self.forget_contacts()
+        snapshot.write_back(self.systems)
+        self._pending = snapshot.pending.copy()
+
+    def _everybody(self) -> set[int]:
+        return {*self.bodies, *self.systems}
 
     def render(self, eye: Array, target: Array, width: int, height: int) -> Array:
         view = p.computeViewMatrix([float(v) for v in eye], [float(v) for v in target], [0, 0, 1])
@@ -308,10 +262,22 @@ class BulletEngine:
 
     name = "pybullet"
 
-    def make_world(self, timestep: float) -> EngineWorld:
-        return BulletWorld(timestep)
+    def make_world(self, timestep: float, preset: Preset) -> EngineWorld:
+        return BulletWorld(timestep, preset)
 
     def integrate(self, worlds: Sequence[EngineWorld], substeps: int) -> None:
-        integrate_worlds([w for w in worlds if isinstance(w, BulletWorld)], substeps)
+        mine = [w for w in worlds if isinstance(w, BulletWorld)]
+        pushed = [w for w in mine if w.begin_pending()] if substeps else []
+        if pushed:
+            integrate_worlds(pushed, 1)
+            for world in pushed:
+                world.end_pending()
+            _integrate(pushed, substeps - 1)
+            mine = [w for w in mine if w not in pushed]
+        _integrate(mine, substeps)
 
+
+def _integrate(worlds: Sequence[BulletWorld], substeps: int) -> None:
+    for done in range(0, substeps, CONTROL_STEP):
+        integrate_worlds(worlds, min(CONTROL_STEP, substeps - done))
 

@@ -6,18 +6,22 @@ such term. The law here simulates a hand with inflated link inertias (mass matri
 that makes it move as the light hand (mass matrix Mr) would under implicit PD:
 
     Mh = Mr + dt D',  D' = kd + damping + dt kp        inertia and damping of the implicit law
-    G  = Mb Mh^-1
-    tau = G (kp (q* - q) + ff + h - D' v) - h
+    a  = Mh^-1 (kp (q* - q) + ff + h - D' v)           what the light hand would do
+    tau = Mb a - h
     h  += beta (Mb (v+ - v) / dt - tau - h)            observer of contact, limit and gravity forces
 
-With h exact, Mb a = tau + h gives Mh a = kp (q* - q) + ff + h - D' v: the implicit law with every outside
-force acting on Mh. The observer's lag is 1 / beta substeps.
+With h exact, Mb a = tau + h: the implicit law with every outside force acting on Mh. The observer's lag is
+1 / beta substeps.
+
+Talking to Bullet costs as much as a good part of a substep, so the law runs once per block of `HOLD`
+substeps: it foresees the m accelerations of the block, and one torque, held meanwhile, gives their mean.
 """
 
 from __future__ import annotations
 
 import time
 from collections.abc import Sequence
+from functools import cache
 from operator import itemgetter
 from typing import TYPE_CHECKING
 from weakref import WeakKeyDictionary
@@ -25,7 +29,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 
 from raisim_like.engines.bullet_urdf import LIGHT_INERTIA, simulated_inertias
-from raisim_like.engines.protocol import Array
+from raisim_like.engines.protocol import Array, Preset
 from raisim_like.engines.quiet_pybullet import pybullet as p
 from raisim_like.urdf import UrdfModel
 
@@ -34,6 +38,12 @@ if TYPE_CHECKING:
 
 OBSERVER_GAIN = 0.15
 """beta per substep. 0.5 went unstable on stiff contacts; a slower observer lets a grip sag."""
+HOLD: dict[Preset, int] = {"faithful": 1, "fast": 4}
+"""Substeps per torque: 4 lose some grasps (docs/physics.md), and 7 lose most."""
+REFRESH_MOTION = 0.1
+"""rad or m that a joint may move before the mass matrices are computed anew; D' outweighs them by far."""
+CHUNK = 8
+"""Worlds stepped in turn, block by block: enough to batch their algebra, few enough for the cache."""
 
 
 class _Axes:
@@ -67,6 +77,7 @@ class _Axes:
                 k = model.links[k].parent
             common[np.ix_(ancestors, ancestors)] += added[i]
         self.common = common
+        self.branches = _branches(model)
 
     def __call__(self, q: Array) -> Array:
         """(N, dof, 3) axis directions for coordinates (N, dof); zero for prismatic joints."""
@@ -93,6 +104,55 @@ def _axes_of(model: UrdfModel) -> _Axes:
     return _AXES[model]
 
 
+def _branches(model: UrdfModel) -> tuple[int, int] | None:
+    """(root, size): `root` joints in a row from the base, then branches of `size` joints each; else None."""
+    parents = [link.parent for link in model.links]
+    n = root = len(parents)
+    for i in range(1, n):
+        if parents[i] != i - 1:
+            # The first branch hangs on the same link as this joint.
+            root = parents[i] + 1
+            break
+    size = next((i for i in range(root + 1, n) if parents[i] == root - 1), n) - root
+    if root in (0, n) or (n - root) % size:
+        return None
+    starts = range(root, n, size)
+    whole = all(parents[s] == root - 1 and all(parents[i] >= s for i in range(s + 1, s + size)) for s in starts)
+    return (root, size) if whole else None
+
+
+def inverse(M: Array, branches: tuple[int, int] | None) -> Array:
+    """Inverses of mass matrices (N, dof, dof) of a tree whose branches touch only through its root.
+
+    Branches of a tree do not couple, so a hand's matrix is an arrow: block elimination is three times
+    faster than a general inverse.
+    """
+    if branches is None:
+        return np.linalg.inv(M)
+    root, size = branches
+    n, dof = len(M), M.shape[-1]
+    count = (dof - root) // size
+    k = np.arange(count)
+    blocks = np.moveaxis(M[:, root:, root:].reshape(n, count, size, count, size)[:, k, :, k], 0, 1)
+    C = M[:, root:, :root]
+    Fi = np.linalg.inv(blocks)
+    Y = np.matmul(Fi, C.reshape(n, count, size, root)).reshape(n, dof - root, root)
+    Yt = np.swapaxes(Y, 1, 2)
+    X = np.empty_like(M)
+    Si = np.linalg.inv(M[:, :root, :root] - np.matmul(np.swapaxes(C, 1, 2), Y))
+    X[:, :root, :root] = Si
+    X[:, root:, :root] = -np.matmul(Y, Si)
+    X[:, :root, root:] = np.swapaxes(X[:, root:, :root], 1, 2)
+    X[:, root:, root:] = -np.matmul(X[:, root:, :root], Yt)
+    for b in range(count):
+        part = slice(root + b * size, root + (b + 1) * size)
+        X[:, part, part] += Fi[:, b]
+    return X
+
+
+_MOTION = itemgetter(0, 1)
+
+
 class ImplicitPd:
     """Controller and state of one articulated system; arrays are (dof,)."""
 
@@ -106,12 +166,17 @@ class ImplicitPd:
         self.damping = model.joint_damping
         self.target, self.feed_forward = np.zeros(n), np.zeros(n)
         self.h = np.zeros(n)
-        p.setJointMotorControlArray(
-            uid, self.indices, p.VELOCITY_CONTROL, forces=[0.0] * n, physicsClientId=client
-        )
+        self.Mb, self.X = np.zeros((n, n)), np.zeros((n, n))
+        self.forces: list[float] = []
+        self.motion: list[tuple[float, float]] = []
+        # Coordinates of Mb and X = Mh^-1; infinite means that they are to be computed.
+        self.q_matrices = np.full(n, np.inf)
+        p.setJointMotorControlArray(uid, self.indices, p.VELOCITY_CONTROL, forces=[0.0] * n, physicsClientId=client)
 
     def set_gains(self, kp: Array, kd: Array) -> None:
-        self.kp[:], self.kd[:] = kp, kd
+        if not (np.array_equal(kp, self.kp) and np.array_equal(kd, self.kd)):
+            self.kp[:], self.kd[:] = kp, kd
+            self.q_matrices[:] = np.inf
 
     def set_state(self, gc: Array, gv: Array) -> None:
         p.resetJointStatesMultiDof(
@@ -123,55 +188,89 @@ class ImplicitPd:
         )
         self.h[:] = 0.0
         self.q[:], self.v[:] = gc, gv
+        self.q_matrices[:] = np.inf
 
+    def apply(self) -> None:
+        """Give Bullet the torques of the next block."""
+        p.setJointMotorControlArray(
+            self.uid, self.indices, p.TORQUE_CONTROL, forces=self.forces, physicsClientId=self.client
+        )
 
-_VELOCITY = itemgetter(1)
-CHUNK = 8
-"""Worlds stepped in turn, substep by substep: enough to batch their algebra, few enough for the cache."""
+    def observe(self) -> None:
+        """Ask Bullet for coordinates and velocities."""
+        self.motion = list(map(_MOTION, p.getJointStates(self.uid, self.indices, physicsClientId=self.client)))
+
+    @property
+    def total_damping(self) -> Array:
+        """D' of the implicit law."""
+        return self.kd + self.damping + self.dt * self.kp
 
 
 class _Batch:
-    """Systems of one model, controlled together for one control step."""
+    """Systems of one model, controlled together for one call of `integrate_worlds`."""
 
     def __init__(self, systems: Sequence[ImplicitPd]) -> None:
-        self.systems, first = systems, systems[0]
-        self.dt = dt = first.dt
+        self.systems = systems
+        self.dt = systems[0].dt
         self.q = np.array([s.q for s in systems])
         self.v = np.array([s.v for s in systems])
         self.h = np.array([s.h for s in systems])
         self.kp = np.array([s.kp for s in systems])
-        self.target = np.array([s.target for s in systems])
-        self.forward = np.array([s.feed_forward for s in systems])
-        self.D = np.array([s.kd + s.damping + dt * s.kp for s in systems])
-        self.tau = np.zeros_like(self.q)
-        self.Mb = np.array([p.calculateMassMatrix(s.uid, s.q.tolist(), physicsClientId=s.client) for s in systems])
-        Mh = self.Mb - first.axes.added_inertia(self.q)
-        Mh[:, range(first.dof), range(first.dof)] += dt * self.D
-        # Both are symmetric, so G = Mb Mh^-1 is the transpose of Mh^-1 Mb.
-        self.G = np.swapaxes(np.linalg.solve(Mh, self.Mb), -1, -2)
+        self.force = self.kp * [s.target for s in systems] + [s.feed_forward for s in systems]
+        self.D = np.array([s.total_damping for s in systems])
+        self.wanted = np.zeros_like(self.q)
+        self.dt_kp = self.dt * self.kp
+        self._refresh()
+        self.Mb = np.array([s.Mb for s in systems])
+        self.dt_X = self.dt * np.array([s.X for s in systems])
 
-    def push(self) -> None:
-        """The torques of the next substep."""
-        wanted = self.kp * (self.target - self.q) + self.forward + self.h - self.D * self.v
-        self.tau = np.matmul(self.G, wanted[..., None])[..., 0] - self.h
-        for s, forces in zip(self.systems, self.tau.tolist(), strict=True):
-            p.setJointMotorControlArray(
-                s.uid, s.indices, p.TORQUE_CONTROL, forces=forces, physicsClientId=s.client
-            )
+    def _refresh(self) -> None:
+        """New mass matrices for the systems that have moved away from theirs."""
+        axes = self.systems[0].axes
+        moved = np.abs(self.q - [s.q_matrices for s in self.systems])
+        rows = np.flatnonzero((moved > REFRESH_MOTION).any(axis=1))
+        if not len(rows):
+            return
+        stale = [self.systems[i] for i in rows.tolist()]
+        Mb = np.array([p.calculateMassMatrix(s.uid, s.q.tolist(), physicsClientId=s.client) for s in stale])
+        Mh = Mb - axes.added_inertia(self.q[rows])
+        diagonal = np.arange(Mh.shape[-1])
+        Mh[:, diagonal, diagonal] += self.dt * self.D[rows]
+        X = inverse(Mh, axes.branches)
+        for i, s in enumerate(stale):
+            s.Mb[:], s.X[:], s.q_matrices[:] = Mb[i], X[i], s.q
 
-    def pull(self) -> None:
-        """What the substep did, and what the observer learns from it."""
+    def push(self, steps: int) -> None:
+        """The torques of the next block, for the systems to apply."""
+        v = self.v.copy()
+        # kp (q* - q) + ff - D' v + h, which changes by the motion of each substep.
+        force = self.force + self.h
+        force -= self.kp * self.q
+        force -= self.D * v
+        for _ in range(steps):
+            change = np.matmul(self.dt_X, force[..., None])[..., 0]
+            v += change
+            change *= self.D
+            force -= change
+            force -= self.dt_kp * v
+        v -= self.v
+        v /= steps * self.dt
+        self.wanted = v
+        tau = np.matmul(self.Mb, v[..., None])[..., 0]
+        tau -= self.h
+        for s, forces in zip(self.systems, tau.tolist(), strict=True):
+            s.forces = forces
+
+    def pull(self, steps: int) -> None:
+        """What the block did, and what the observer learns from it."""
         before = self.v
-        self.v = np.array(
-            [
-                list(map(_VELOCITY, p.getJointStates(s.uid, s.indices, physicsClientId=s.client)))
-                for s in self.systems
-            ]
-        )
-        # Bullet moves one-dof joints by exactly this, so the positions need not be read.
-        self.q += self.dt * self.v
-        accelerations = ((self.v - before) / self.dt)[..., None]
-        self.h += OBSERVER_GAIN * (np.matmul(self.Mb, accelerations)[..., 0] - self.tau - self.h)
+        both = np.array([s.motion for s in self.systems])
+        self.q, self.v = both[..., 0], both[..., 1]
+        surprise = self.v - before
+        surprise /= steps * self.dt
+        surprise -= self.wanted
+        # With tau = Mb wanted - h, the observer's Mb (v+ - v) / dt - tau - h is Mb times the surprise.
+        self.h += (1.0 - (1.0 - OBSERVER_GAIN) ** steps) * np.matmul(self.Mb, surprise[..., None])[..., 0]
 
     def store(self) -> None:
         """Gives the systems their new state."""
@@ -179,27 +278,52 @@ class _Batch:
             s.q[:], s.v[:], s.h[:] = self.q[i], self.v[i], self.h[i]
 
 
+@cache
+def blocks(substeps: int, timestep: float, longest: int) -> tuple[int, ...]:
+    """Lengths of the blocks that make up `substeps`: nearly equal, none longer than `longest`.
+
+    Bullet divides a block's duration by its length; a length is used only where that gives `timestep` back
+    to the last bit, so that no remainder is left over for the next step.
+    """
+    exact = [m for m in range(1, longest + 1) if m * timestep / m == timestep and int(m * timestep / timestep) == m]
+    lengths: list[int] = []
+    while substeps:
+        count = -(-substeps // longest)
+        m = max(m for m in exact if m <= -(-substeps // count))
+        lengths.append(m)
+        substeps -= m
+    return tuple(lengths)
+
+
 def integrate_worlds(worlds: Sequence[BulletWorld], substeps: int) -> None:
     """Advance worlds together: the linear algebra of their controllers is batched, the steps are not."""
-    for first in range(0, len(worlds), CHUNK):
-        _integrate_chunk(worlds[first : first + CHUNK], substeps)
+    for kind in dict.fromkeys((world.timestep, world.preset) for world in worlds):
+        alike = [world for world in worlds if (world.timestep, world.preset) == kind]
+        for first in range(0, len(alike), CHUNK):
+            _integrate_chunk(alike[first : first + CHUNK], substeps)
 
 
 def _integrate_chunk(worlds: Sequence[BulletWorld], substeps: int) -> None:
-    groups: dict[tuple[int, float], list[ImplicitPd]] = {}
+    groups: dict[int, list[ImplicitPd]] = {}
     for world in worlds:
         for system in world.systems.values():
-            groups.setdefault((id(system.model), system.dt), []).append(system)
+            groups.setdefault(id(system.model), []).append(system)
     batches = [_Batch(group) for group in groups.values()]
     clock = time.perf_counter
-    for _ in range(substeps):
+    for steps in blocks(substeps, worlds[0].timestep, HOLD[worlds[0].preset]):
         for batch in batches:
-            batch.push()
+            batch.push(steps)
         for world in worlds:
+            # What is said to a world and asked of it stands next to its step, while its memory is in the cache.
+            for system in world.systems.values():
+                system.apply()
+            world.set_block(steps)
             start = clock()
             p.stepSimulation(physicsClientId=world.client)
             world.step_seconds += clock() - start
+            for system in world.systems.values():
+                system.observe()
         for batch in batches:
-            batch.pull()
+            batch.pull(steps)
     for batch in batches:
         batch.store()

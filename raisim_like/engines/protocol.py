@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, Protocol
+from typing import Any, Literal, Protocol
 
 from numpy.typing import NDArray
 
@@ -13,6 +13,10 @@ from raisim_like.shapes import Shape
 from raisim_like.urdf import UrdfModel
 
 Array = NDArray[Any]
+
+
+Preset = Literal["faithful", "fast"]
+"""Settings of an engine: as near to RaiSim as it gets, or faster where that costs some of it."""
 
 
 class EngineWorld(Protocol):
@@ -68,6 +72,15 @@ class EngineWorld(Protocol):
     def set_feed_forward(self, body: int, force: Array) -> None:
         """Generalised feed-forward force (dof,), N or N m."""
 
+    def apply_wrench(self, body: int, force: Array, torque: Array) -> None:
+        """Force (3,) N at the centre of mass of a rigid body and torque (3,) N m, world, in the next substep only.
+
+        Several add up.
+        """
+
+    def apply_generalized_force(self, body: int, force: Array) -> None:
+        """Force (dof,) on an articulated system in the next substep only; several add up."""
+
     def mass_matrix(self, body: int) -> Array:
         """(dof, dof) mass matrix of the articulated system as the engine simulates it."""
 
@@ -86,6 +99,18 @@ class EngineWorld(Protocol):
     def link_poses(self, body: int) -> tuple[Array, Array]:
         """World rotations (dof, 3, 3) and origins (dof, 3) of the moving links."""
 
+    def bare_step(self, substeps: int) -> None:
+        """The engine's own step and nothing else, that many times: what control and reading are measured against."""
+
+    def save(self) -> Any:
+        """All that the next steps depend on, but for gravity, materials and who is there."""
+
+    def restore(self, snapshot: Any) -> None:
+        """Go back to a snapshot of this world, which may be done any number of times.
+
+        Raises `EngineError` when bodies have come or gone since.
+        """
+
     def render(self, eye: Array, target: Array, width: int, height: int) -> Array:
         """(height, width, 3) uint8 picture, no display needed."""
 
@@ -98,7 +123,7 @@ class Engine(Protocol):
 
     name: str
 
-    def make_world(self, timestep: float) -> EngineWorld:
+    def make_world(self, timestep: float, preset: Preset) -> EngineWorld:
         """A new empty world."""
 
     def integrate(self, worlds: Sequence[EngineWorld], substeps: int) -> None:

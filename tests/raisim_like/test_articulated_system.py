@@ -17,8 +17,8 @@ Q = np.array([0.7, 0.4, -1.1])
 
 
 @pytest.fixture
-def world() -> Iterator[World]:
-    made = World()
+def world(engine: str) -> Iterator[World]:
+    made = World(engine)
     yield made
     made.close()
 

@@ -14,8 +14,8 @@ DT, G = 0.00222, 9.81
 
 
 @pytest.fixture
-def world() -> Iterator[World]:
-    made = World(timestep=DT)
+def world(engine: str) -> Iterator[World]:
+    made = World(engine, DT)
     yield made
     made.close()
 

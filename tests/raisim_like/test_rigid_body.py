@@ -20,8 +20,8 @@ COM = np.array([0.02, -0.03, 0.05])
 
 
 @pytest.fixture
-def world() -> Iterator[World]:
-    made = World(timestep=DT)
+def world(engine: str) -> Iterator[World]:
+    made = World(engine, DT)
     yield made
     made.close()
 
@@ -80,7 +80,8 @@ def test_a_sliding_block_stops_after_its_braking_distance(world: World) -> None:
     world.integrate(130)  # It needs v / (mu g) = 0.3058 s, 138 substeps.
     assert block.linear_velocity[0] > 0.05
     world.integrate(170)
-    assert np.abs(block.linear_velocity).max() < 1e-9
+    # MuJoCo's contacts are a ten-thousandth soft, and creep.
+    assert np.abs(block.linear_velocity).max() < (1e-9 if world.engine.name == "pybullet" else 2e-6)
     assert block.position[0] == pytest.approx(1.5**2 / (2 * 0.5 * G), rel=0.01)
 
 
@@ -96,11 +97,11 @@ def test_collisions_keep_momentum_and_lose_the_normal_velocity(world: World, off
 
     before = spin(first, 1.0) + spin(second, 2.5)
     world.integrate(150)
-    assert 1.0 * first.linear_velocity + 2.5 * second.linear_velocity == pytest.approx([0.5, 0, 0], abs=1e-12)
+    assert 1.0 * first.linear_velocity + 2.5 * second.linear_velocity == pytest.approx([0.5, 0, 0], abs=1e-11)
     assert spin(first, 1.0) + spin(second, 2.5) == pytest.approx(before, abs=1e-4)
     if offset == 0.0:
-        assert first.linear_velocity[0] == pytest.approx(0.5 / 3.5, abs=1e-12)
-        assert second.linear_velocity[0] == pytest.approx(0.5 / 3.5, abs=1e-12)
+        assert first.linear_velocity[0] == pytest.approx(0.5 / 3.5, abs=1e-11)
+        assert second.linear_velocity[0] == pytest.approx(0.5 / 3.5, abs=1e-11)
     else:
         assert second.linear_velocity[1] > 0.01 > -0.01 > first.linear_velocity[1]
 
@@ -126,17 +127,27 @@ def test_bodies_rest_on_their_lowest_point(world: World, shape: Shape, lowest: f
     assert np.abs(body.linear_velocity).max() < 1e-3
 
 
-@pytest.mark.parametrize("kind", ["hull", "mesh"])
-def test_mesh_files_collide(world: World, tmp_path: Path, kind: str) -> None:
+def write_cube(path: Path) -> Path:
+    """A cube of 0.1 m as a file of triangles."""
     corners = [(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]
     faces = ["1 3 4 2", "5 6 8 7", "1 2 6 5", "3 7 8 4", "1 5 7 3", "2 4 8 6"]
     lines = [f"v {0.05 * x} {0.05 * y} {0.05 * z}" for x, y, z in corners]
     for face in faces:
         a, b, c, d = face.split()
         lines += [f"f {a} {b} {c}", f"f {a} {c} {d}"]
-    (tmp_path / "cube.obj").write_text("\n".join(lines) + "\n")
+    path.write_text("\n".join(lines) + "\n")
+    return path
+
+
+@pytest.mark.parametrize("kind", ["hull", "mesh"])
+def test_mesh_files_collide(world: World, tmp_path: Path, kind: str) -> None:
+    file = write_cube(tmp_path / "cube.obj")
     world.add_ground()
-    body = world.add_body([Shape(kind, file=tmp_path / "cube.obj")], 1.0, np.eye(3))  # type: ignore[arg-type]
+    if kind == "mesh" and world.engine.name == "mujoco":
+        with pytest.raises(EngineError, match=r"cube\.obj: MuJoCo has no concave meshes.* give the body convex parts"):
+            world.add_body([Shape("mesh", file=file)], 1.0, np.eye(3))
+        return
+    body = world.add_body([Shape(kind, file=file)], 1.0, np.eye(3))  # type: ignore[arg-type]
     body.set_state((0, 0, 0.052))
     world.integrate(200)
     assert body.position[2] == pytest.approx(0.05, abs=1.6e-3)
@@ -206,9 +217,8 @@ def test_bad_bodies_are_refused(world: World, tmp_path: Path) -> None:
         body.set_state((0, 0))
 
 
-def test_a_compound_of_many_parts_is_one_solid_body() -> None:
+def test_a_compound_of_many_parts_is_one_solid_body(world: World) -> None:
     """24 plates side by side, more than PyBullet's arrays of shapes hold, lie on the ground as one slab."""
-    world = World()
     world.add_ground()
     shapes = [Shape("box", (0.01, 0.2, 0.02), (0.01 * (i - 11.5), 0.0, 0.0)) for i in range(24)]
     slab = world.add_body(shapes, 0.5, 0.5 / 12 * np.diag([0.04, 0.0576, 0.0976]))
@@ -217,4 +227,3 @@ def test_a_compound_of_many_parts_is_one_solid_body() -> None:
     assert slab.position == pytest.approx([0.0, 0.0, 0.01], abs=1e-3)
     assert slab.rotation[2, 2] == pytest.approx(1.0, abs=1e-4)
     assert sum(c.impulse for c in slab.contacts()) == pytest.approx(0.5 * 9.81 * world.timestep, rel=0.05)
-    world.close()

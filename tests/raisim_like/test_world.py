@@ -14,9 +14,9 @@ from raisim_like.world import BODY, STATIC, SYSTEM, collision_mask
 from tests.raisim_like.urdfs import write_chain
 
 
-def hand_world(model: UrdfModel, seed: int) -> tuple[World, ArticulatedSystem, RigidBody]:
+def hand_world(model: UrdfModel, seed: int, engine: str) -> tuple[World, ArticulatedSystem, RigidBody]:
     """A hand that closes towards a ball lying on the ground."""
-    world = World()
+    world = World(engine)
     hand = world.add_articulated_system(model)
     hand.set_base_pose((0, 0, 0.06))
     ball = world.add_sphere(0.035, 0.1)
@@ -38,13 +38,13 @@ def numbers(*items: ArticulatedSystem | RigidBody) -> list[float]:
     return values
 
 
-def test_together_is_the_same_as_alone_to_the_bit() -> None:
+def test_together_is_the_same_as_alone_to_the_bit(engine: str) -> None:
     model = read_urdf(URDF_PATH)
-    together = [hand_world(model, seed) for seed in (1, 2, 3)]
+    together = [hand_world(model, seed, engine) for seed in (1, 2, 3)]
     for _ in range(4):
         integrate([world for world, _, _ in together], 13)
     for seed, (world, hand, ball) in zip((1, 2, 3), together, strict=True):
-        alone, its_hand, its_ball = hand_world(model, seed)
+        alone, its_hand, its_ball = hand_world(model, seed, engine)
         for _ in range(4):
             alone.integrate(13)
         assert numbers(hand, ball) == numbers(its_hand, its_ball)
@@ -53,9 +53,9 @@ def test_together_is_the_same_as_alone_to_the_bit() -> None:
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, 1e200])
-def test_a_world_that_breaks_leaves_the_others_alone(value: float) -> None:
+def test_a_world_that_breaks_leaves_the_others_alone(engine: str, value: float) -> None:
     model = read_urdf(URDF_PATH)
-    broken, sound, alone = hand_world(model, 1), hand_world(model, 2), hand_world(model, 2)
+    broken, sound, alone = (hand_world(model, seed, engine) for seed in (1, 2, 2))
     # Past the checks of `set_generalized_force`, as an unstable simulation would do it.
     broken[0].engine_world.set_feed_forward(broken[1].id, np.full(51, value))
     with np.errstate(all="ignore"):
@@ -67,9 +67,9 @@ def test_a_world_that_breaks_leaves_the_others_alone(value: float) -> None:
         world.close()
 
 
-def test_worlds_of_one_process_do_not_know_each_other(tmp_path: Path) -> None:
+def test_worlds_of_one_process_do_not_know_each_other(engine: str, tmp_path: Path) -> None:
     path = write_chain(tmp_path / "arm.urdf", 2)
-    first, second = World(), World()
+    first, second = World(engine), World(engine)
     second.set_gravity((0, 0, 0))
     arms = [world.add_articulated_system(path) for world in (first, second)]
     boxes = [world.add_box(0.1, 0.1, 0.1, 1.0) for world in (first, second)]
@@ -86,14 +86,14 @@ def test_worlds_of_one_process_do_not_know_each_other(tmp_path: Path) -> None:
     second.close()
 
 
-def test_worlds_with_any_number_of_systems_go_together(tmp_path: Path) -> None:
+def test_worlds_with_any_number_of_systems_go_together(engine: str, tmp_path: Path) -> None:
     """None, two of different models, and one with another timestep: each is controlled as if it were alone."""
     one, three = write_chain(tmp_path / "one.urdf"), write_chain(tmp_path / "three.urdf", 3)
 
     def make() -> list[tuple[World, list[ArticulatedSystem | RigidBody]]]:
         made: list[tuple[World, list[ArticulatedSystem | RigidBody]]] = []
         for paths, timestep in (((), 0.00222), ((one, three), 0.00222), ((one,), 0.001)):
-            world = World(timestep=timestep)
+            world = World(engine, timestep)
             items: list[ArticulatedSystem | RigidBody] = [world.add_sphere(0.05, 0.1)]
             items[0].set_state((0, 0, 5))
             for i, path in enumerate(paths):
@@ -118,10 +118,10 @@ def test_worlds_with_any_number_of_systems_go_together(tmp_path: Path) -> None:
         world.close()
 
 
-def test_models_that_come_and_go_are_not_mistaken_for_each_other(tmp_path: Path) -> None:
+def test_models_that_come_and_go_are_not_mistaken_for_each_other(engine: str, tmp_path: Path) -> None:
     """A new model may lie where an old one was; its joint axes are its own."""
     for joints in (1, 3, 2, 4, 1, 3):
-        world = World()
+        world = World(engine)
         system = world.add_articulated_system(write_chain(tmp_path / "chain.urdf", joints))
         world.integrate(1)
         assert system.generalized_coordinate.shape == (joints,)
@@ -129,8 +129,8 @@ def test_models_that_come_and_go_are_not_mistaken_for_each_other(tmp_path: Path)
         del system, world
 
 
-def test_time_is_counted() -> None:
-    world = World(timestep=0.002)
+def test_time_is_counted(engine: str) -> None:
+    world = World(engine, 0.002)
     world.integrate(13)
     integrate([world], 7)
     assert world.world_time == pytest.approx(0.04)
@@ -140,8 +140,8 @@ def test_time_is_counted() -> None:
     world.close()
 
 
-def test_bodies_can_be_removed() -> None:
-    world = World()
+def test_bodies_can_be_removed(engine: str) -> None:
+    world = World(engine)
     world.add_ground()
     below, above = world.add_box(0.2, 0.2, 0.2, 1.0), world.add_sphere(0.1, 1.0)
     below.set_state((0, 0, 0.1))
@@ -157,8 +157,8 @@ def test_bodies_can_be_removed() -> None:
     world.close()
 
 
-def test_masks_say_who_meets_whom() -> None:
-    world = World()
+def test_masks_say_who_meets_whom(engine: str) -> None:
+    world = World(engine)
     world.add_ground()
     balls = []
     for i, hits in enumerate((STATIC | BODY, STATIC, BODY, SYSTEM)):
@@ -171,16 +171,16 @@ def test_masks_say_who_meets_whom() -> None:
 
 
 def test_what_a_world_refuses() -> None:
-    with pytest.raises(EngineError, match="unknown engine 'physx'; expected one of pybullet"):
+    with pytest.raises(EngineError, match="unknown engine 'physx'; expected one of pybullet, mujoco"):
         make_engine("physx")
     for timestep in (0.0, -1.0, float("nan")):
         with pytest.raises(ValueError, match="timestep must be positive"):
             World(timestep=timestep)
 
 
-def test_cylinders_roll_and_boxes_have_the_inertia_of_solids() -> None:
+def test_cylinders_roll_and_boxes_have_the_inertia_of_solids(engine: str) -> None:
     """Rolling down: a solid cylinder on its side gains 2/3 of g sin a, whatever its size."""
-    world = World()
+    world = World(engine)
     angle = 0.2
     world.set_gravity((9.81 * np.sin(angle), 0, -9.81 * np.cos(angle)))
     world.add_ground()
@@ -193,8 +193,8 @@ def test_cylinders_roll_and_boxes_have_the_inertia_of_solids() -> None:
     world.close()
 
 
-def test_pictures_need_no_display() -> None:
-    world = World()
+def test_pictures_need_no_display(engine: str) -> None:
+    world = World(engine)
     box = world.add_box(0.2, 0.2, 0.2, 1.0)
     world.engine_world.set_color(box.id, (1.0, 0.0, 0.0, 1.0))
     picture = world.engine_world.render(np.array([1.0, 0.0, 0.5]), np.zeros(3), 64, 48)
