@@ -7,6 +7,7 @@ import json
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
 import torch
 
@@ -16,6 +17,7 @@ from dgrasp.config import Config, load_config
 from dgrasp.data import DataChoice, resolve
 from dgrasp.errors import ConfigError, DataError
 from dgrasp.eval import output
+from dgrasp.eval.agreement import find_agreement
 from dgrasp.eval.evaluator import evaluate
 from dgrasp.eval.method import Method, PolicyMethod
 from dgrasp.eval.summary import Result, summarise
@@ -71,8 +73,14 @@ def main(arguments: argparse.Namespace) -> int:
     print(choice.describe(), flush=True)
     result, records, spec = evaluate_choice(method, config, choice)
     output.print_table(result)
+    extra: dict[str, Any] = {}
+    if arguments.policy is not None:
+        agreement = find_agreement(arguments.policy, choice.labels, [bool(row["success"]) for row in result.per_label])
+        if agreement is not None:
+            print("\n".join(agreement.lines()))
+            extra["raisim"] = agreement.plain()
     if arguments.json is not None:
-        output.write_json(result, arguments.json)
+        output.write_json(result, arguments.json, extra)
         output.write_csv(result, arguments.json.with_suffix(".csv"))
         output.write_markdown(result, arguments.json.with_suffix(".md"))
     if arguments.gif is not None:

@@ -5,8 +5,9 @@ from __future__ import annotations
 import csv
 import io
 import json
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from pathlib import Path
+from typing import Any
 
 from rich.console import Console
 from rich.markup import escape
@@ -88,9 +89,9 @@ def table_cells(result: Result, skip: Collection[str] = ()) -> tuple[list[str], 
     return header, rows
 
 
-def json_text(result: Result) -> str:
-    """The JSON of the result; it holds no NaN."""
-    return json.dumps(result.as_dict(), indent=2, allow_nan=False) + "\n"
+def json_text(result: Result, extra: Mapping[str, Any] | None = None) -> str:
+    """The JSON of the result, with further entries where there are some; it holds no NaN."""
+    return json.dumps({**result.as_dict(), **(extra or {})}, indent=2, allow_nan=False) + "\n"
 
 
 def csv_text(result: Result) -> str:
@@ -111,9 +112,9 @@ def markdown_text(result: Result) -> str:
     return "\n".join([*lines, "", *(f"- {line}" for line in remarks(result))]) + "\n"
 
 
-def write_json(result: Result, path: Path) -> None:
+def write_json(result: Result, path: Path, extra: Mapping[str, Any] | None = None) -> None:
     """Write `json_text` in one step."""
-    write_atomic(path, json_text(result))
+    write_atomic(path, json_text(result, extra))
 
 
 def write_csv(result: Result, path: Path) -> None:
