@@ -224,24 +224,20 @@ class BulletWorld:
         return contacts_of(self.client, body, self._impulse_per_force)
 
     def save(self) -> BulletSnapshot:
-        snapshot = BulletSnapshot(self.client, self._everybody(), self.systems, self._block)
-        snapshot.pending = self._pending.copy()
+        snapshot = BulletSnapshot(self.client, set(self.bodies), self.systems, self._block, self._pending.copy())
         # What Bullet restores is a little other than what it saved: contacts have fewer points. Going on from
         # what is restored makes this run and those after a restore the same.
         self.restore(snapshot)
         return snapshot
 
     def restore(self, snapshot: BulletSnapshot) -> None:
-        if self._everybody() != snapshot.bodies:
+        if (set(self.bodies), set(self.systems)) != (snapshot.bodies, set(snapshot.arrays)):
             raise EngineError("bodies have come or gone since the snapshot was taken")
         self.set_block(snapshot.block)
         # Without this, the order of the contacts, and with it rounding, would depend on what came in between.
         self.forget_contacts()
         snapshot.write_back(self.systems)
         self._pending = snapshot.pending.copy()
-
-    def _everybody(self) -> set[int]:
-        return {*self.bodies, *self.systems}
 
     def render(self, eye: Array, target: Array, width: int, height: int) -> Array:
         view = p.computeViewMatrix([float(v) for v in eye], [float(v) for v in target], [0, 0, 1])

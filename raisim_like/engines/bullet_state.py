@@ -17,8 +17,10 @@ from raisim_like.engines.quiet_pybullet import pybullet as p
 class BulletSnapshot:
     """Bullet's own state, kept inside the client until this object goes, and the controllers' arrays."""
 
-    def __init__(self, client: int, bodies: set[int], systems: Mapping[int, ImplicitPd], block: int) -> None:
-        self.bodies, self.block, self.pending = bodies, block, Pending()
+    def __init__(
+        self, client: int, bodies: set[int], systems: Mapping[int, ImplicitPd], block: int, pending: Pending
+    ) -> None:
+        self.bodies, self.block, self.pending = bodies, block, pending
         self.client, self.state = client, int(p.saveState(physicsClientId=client))
         self.arrays: dict[int, dict[str, Array]] = {
             uid: {name: value.copy() for name, value in vars(system).items() if isinstance(value, np.ndarray)}

@@ -140,14 +140,12 @@ class MujocoWorld:
         built.data.mocap_pos[mocap], built.data.mocap_quat[mocap] = position, quaternion
 
     def set_joint_state(self, body: int, gc: Array, gv: Array) -> None:
-        built = self._ready()
-        slot = built.slots[body]
-        built.data.qpos[slot.q], built.data.qvel[slot.v] = gc, gv
+        data, slot = self._ready().data, self._ready().slots[body]
+        data.qpos[slot.q], data.qvel[slot.v] = gc, gv
 
     def get_joint_state(self, body: int, gc: Array, gv: Array) -> None:
-        built = self._ready()
-        slot = built.slots[body]
-        gc[:], gv[:] = built.data.qpos[slot.q], built.data.qvel[slot.v]
+        data, slot = self._ready().data, self._ready().slots[body]
+        gc[:], gv[:] = data.qpos[slot.q], data.qvel[slot.v]
 
     def set_pd_gains(self, body: int, kp: Array, kd: Array) -> None:
         drive = self.systems[body].drive
@@ -216,8 +214,7 @@ class MujocoWorld:
             built.data.qfrc_applied[built.slots[body].v] = system.drive.feed_forward
 
     def bare_step(self, substeps: int) -> None:
-        built = self._ready()
-        mj.mj_step(built.model, built.data, nstep=substeps)
+        mj.mj_step(self._ready().model, self._ready().data, nstep=substeps)
 
     def save(self) -> mujoco_state.Snapshot:
         drives = {body: system.drive for body, system in self.systems.items()}

@@ -21,10 +21,13 @@ def keep_sliding_contacts_closed(data: mj.MjData, timestep: float) -> None:
     contact = data.contact
     rows, friction = contact.efc_address, contact.friction[:, 0]
     if rows.min() < 0:
+        # Points on the edge of the margin have no force.
         rows, friction = rows[rows >= 0], friction[rows >= 0]
-    velocity = data.efc_vel
-    sliding = np.hypot(velocity[rows + 1], velocity[rows + 2])
-    data.efc_aref[rows] -= friction * sliding / timestep
+        if not len(rows):
+            return
+    # The constraints end with the contacts, three rows each: the normal and two tangents.
+    velocity = data.efc_vel[rows[0] :].reshape(-1, 3)
+    data.efc_aref[rows[0] :: 3] -= friction * np.hypot(velocity[:, 1], velocity[:, 2]) / timestep
 
 
 def pair_forces(built: BuiltModel, body: int, other: int) -> tuple[Array, Array]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from itertools import combinations
+from itertools import combinations, combinations_with_replacement
 from typing import Any
 
 import mujoco as mj
@@ -233,25 +233,24 @@ class _Maker:
 
     def _pairs(self) -> None:
         """Pairs of geoms with a friction of their own; for the others MuJoCo takes the larger one, the default."""
-        bodies = list(self.items)
-        for k, a in enumerate(bodies):
-            for b in bodies[k:]:
-                friction = self.materials.friction(self.items[a].material, self.items[b].material)
-                if friction == self.materials.default_friction or not self.bits[a][0] & self.bits[b][1]:
-                    continue
-                for first, second in self._touching(a, b):
-                    self.spec.add_pair(
-                        geomname1=first, geomname2=second, condim=3, friction=[friction, friction, 0.0, 0.0, 0.0],
-                        solref=self.solref, solimp=self.solimp, margin=CONTACT_MARGIN,
-                    )  # fmt: skip
+        for a, b in combinations_with_replacement(self.items, 2):
+            friction = self.materials.friction(self.items[a].material, self.items[b].material)
+            if friction == self.materials.default_friction or not self.bits[a][0] & self.bits[b][1]:
+                continue
+            for first, second in self._touching(a, b):
+                self.spec.add_pair(
+                    geomname1=first, geomname2=second, condim=3, friction=[friction, friction, 0.0, 0.0, 0.0],
+                    solref=self.solref, solimp=self.solimp, margin=CONTACT_MARGIN,
+                )  # fmt: skip
 
     def _touching(self, a: int, b: int) -> list[tuple[str, str]]:
         """Pairs of geoms, one of each body, that may collide."""
-        if a != b:
-            return [(first, second) for first, _ in self.geoms[a] for second, _ in self.geoms[b]]
-        item = self.items[a]
-        if isinstance(item, Solid):
+        item, other = self.items[a], self.items[b]
+        if isinstance(item, Solid) and isinstance(other, Solid) and (a == b or item.mass == other.mass == 0.0):
+            # MuJoCo would ask no further about bodies that cannot move.
             return []
+        if a != b or isinstance(item, Solid):
+            return [(first, second) for first, _ in self.geoms[a] for second, _ in self.geoms[b]]
         apart = chains(item.urdf)
         return [
             (first, second)

@@ -133,11 +133,14 @@ def test_any_table_of_materials_is_exact(world: World) -> None:
     """Of these pairs PyBullet could not have all: a with a and b with b are slippery, a with b is not."""
     for first, second, friction in (("a", "a", 0.1), ("b", "b", 0.1), ("a", "b", 0.7)):
         world.set_material_pair(first, second, friction)
-    world.add_ground(material="a")
+    ground = world.add_ground(material="a")
+    # A wall in the ground, of a pair with a friction of its own: nothing can move there, and nothing touches.
+    world.add_body([Shape("box", (0.1, 0.1, 0.1))], 0.0, np.eye(3), material="b").set_state((5, 5, 0))
     blocks = [world.add_box(0.2, 0.2, 0.04, 1.0, material) for material in ("a", "b", "c")]
     for i, block in enumerate(blocks):
         block.set_state((0, i, 0.02), linear=(2, 0, 0))
     world.integrate(60)
+    assert {c.body_b for c in ground.contacts()} == {block.id for block in blocks}
     lost = [2.0 - block.linear_velocity[0] for block in blocks]
     assert lost == pytest.approx([friction * G * 60 * DT for friction in (0.1, 0.7, 0.8)], rel=0.02)
 
