@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from dgrasp.config import Config
 from dgrasp.data import DataChoice
+from dgrasp.errors import ConfigError
 from dgrasp.hand.model import HandModel, load_hand
 from dgrasp.objects.free import free_object
 from dgrasp.objects.model import ObjectModel
-from dgrasp.objects.release import release_object
+from dgrasp.objects.release import Concave, release_object
 from dgrasp.pool import Pool, PoolSpec, make_pool
+from raisim_like.engines import make_engine
+from raisim_like.errors import EngineError
 
 
 def build_objects(choice: DataChoice, config: Config) -> dict[str, ObjectModel]:
@@ -16,8 +19,10 @@ def build_objects(choice: DataChoice, config: Config) -> dict[str, ObjectModel]:
     physics = config.physics
     if choice.kind == "free":
         return {n: free_object(n, physics.masses, physics.official_compat) for n in choice.labels.objects}
+    chosen: Concave = "mesh" if config.engine == "pybullet" else "parts"
+    concave = chosen if physics.concave == "auto" else physics.concave
     return {
-        n: release_object(choice.objects_dir, n, physics.masses, physics.official_compat)
+        n: release_object(choice.objects_dir, n, physics.masses, physics.official_compat, concave)
         for n in choice.labels.objects
     }
 
@@ -28,7 +33,11 @@ def build_hand(choice: DataChoice) -> HandModel:
 
 
 def build_spec(choice: DataChoice, config: Config) -> PoolSpec:
-    """What a pool for the chosen labels is made of."""
+    """What a pool for the chosen labels is made of; `ConfigError` for an engine that is not installed."""
+    try:
+        make_engine(config.engine)
+    except EngineError as error:
+        raise ConfigError(f"engine: {error}") from None
     return PoolSpec(choice.labels.labels, build_hand(choice), build_objects(choice, config), config)
 
 

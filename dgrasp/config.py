@@ -42,6 +42,8 @@ class PhysicsConfig(_Section):
     """The simulated world (supplement, section B.1; ERRATA of the authors' code in docs/deviations.md).
 
     preset: "faithful" is as near to RaiSim as the engine gets; "fast" gives some of that for speed (docs/physics.md).
+    concave: how a release's concave objects collide: "mesh" as the authors' triangles (pybullet alone), "parts" as
+    convex parts cut from them; "auto" is what docs/physics.md found best for the engine.
     """
 
     timestep: Positive = 0.00222
@@ -49,6 +51,7 @@ class PhysicsConfig(_Section):
     friction: NonNegative = 0.8
     official_compat: bool = True
     masses: Literal["official", "ycb"] = "official"
+    concave: Literal["auto", "mesh", "parts"] = "auto"
     preset: Literal["faithful", "fast"] = "faithful"
     hand_table_collision: bool = True
     self_collision: bool = False
@@ -181,11 +184,17 @@ class CheckpointConfig(_Section):
 
 
 class EvalConfig(_Section):
-    """Periodic deterministic evaluation in training, and the window of the stability test."""
+    """Periodic deterministic evaluation in training, the window of the stability test, and what a test measures.
+
+    interpenetration: measure it in a test. mano: the MANO file that the hand was made from, whose skin it is measured
+    on then, instead of the hand's part meshes or collision shapes.
+    """
 
     every: Count = 25
     window_s: Positive = 5.0
     gif: bool = True
+    interpenetration: bool = True
+    mano: str | None = None
 
 
 class Config(_Section):
@@ -218,6 +227,9 @@ class Config(_Section):
         hold = self.env.hold
         if hold.first_step is not None and not hold.first_step <= hold.last_step < self.env.episode_steps:
             raise ValueError("env.hold: expected first_step <= last_step < env.episode_steps")
+        if self.physics.concave == "mesh" and self.engine == "mujoco":
+            raise ValueError("physics.concave: mujoco collides no concave meshes; expected auto or parts, or the "
+                             "engine pybullet")
         if self.ppo.min_learning_rate > self.ppo.max_learning_rate:
             raise ValueError("ppo.min_learning_rate must not exceed ppo.max_learning_rate")
         return self

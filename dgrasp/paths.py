@@ -1,10 +1,12 @@
-"""Where the files lie that come with the package: `cfg/` and `data/`.
+"""Where the files lie that come with the package, `cfg/` and `data/`, and those that it makes for a user.
 
 In a checkout they stand next to the package; a wheel carries them inside, in `dgrasp/_bundled/`.
 """
 
 from __future__ import annotations
 
+import os
+import sys
 from pathlib import Path
 
 from dgrasp.errors import DataError
@@ -37,6 +39,19 @@ def cfg_root() -> Path:
 def user_data_root() -> Path:
     """Where users put data of their own: the checkout's `data/`, or `data/` in the current folder."""
     return data_root() if is_checkout() else Path.cwd() / "data"
+
+
+def user_cache_root() -> Path:
+    """Where things are kept that can be made anew: DGRASP_CACHE, else the platform's folder for caches."""
+    if os.environ.get("DGRASP_CACHE"):
+        return Path(os.environ["DGRASP_CACHE"]).expanduser().absolute()
+    if sys.platform == "win32":
+        return Path(os.environ.get("LOCALAPPDATA") or Path.home() / "AppData" / "Local") / "dgrasp" / "Cache"
+    if sys.platform == "darwin":
+        return Path.home() / "Library" / "Caches" / "dgrasp"
+    # By the XDG specification a relative path there is to be ignored.
+    base = Path(os.environ.get("XDG_CACHE_HOME", ""))
+    return (base if base.is_absolute() else Path.home() / ".cache") / "dgrasp"
 
 
 def package_file(relative: str) -> Path:

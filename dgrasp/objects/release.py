@@ -4,20 +4,27 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Literal
 
 from dgrasp.errors import DataError
 from dgrasp.objects.catalogue import MassSet, catalogue_object
 from dgrasp.objects.inertia import object_model
 from dgrasp.objects.model import ObjectModel
+from dgrasp.objects.parts import convex_parts
+
+Concave = Literal["mesh", "parts"]
 
 
-def release_object(objects_dir: Path, name: str, masses: MassSet, official_compat: bool) -> ObjectModel:
+def release_object(
+    objects_dir: Path, name: str, masses: MassSet, official_compat: bool, concave: Concave = "mesh"
+) -> ObjectModel:
     """The object `name` with the authors' choice of collision shape, in its mesh's frame O.
 
     objects_dir: the release's `objects` folder; it is read for objects that collide as a mesh, not for boxes and
     cylinders. masses: "official" as the authors simulate them, "ycb" as published.
     official_compat: centre of mass at the origin and 1 kg m^2 about every axis instead of the shape's own.
-    Raises `DataError` for an unknown name or a mesh that is missing or damaged.
+    concave: the authors' concave meshes as they are, or cut into convex parts; centre of mass and inertia are
+    the mesh's either way. Raises `DataError` for an unknown name or a mesh that is missing or damaged.
     """
     entry = catalogue_object(name)
     shape = entry.collision
@@ -29,4 +36,7 @@ def release_object(objects_dir: Path, name: str, masses: MassSet, official_compa
                 f"{entry.name}/{file.name}. Point --data at a folder that has it, or use --data free"
             )
         shape = replace(shape, file=file)
-    return object_model(entry.name, (shape,), entry.mass(masses), official_compat)
+    model = object_model(entry.name, (shape,), entry.mass(masses), official_compat)
+    if shape.kind == "mesh" and shape.file is not None and concave == "parts":
+        return replace(model, shapes=convex_parts(shape.file))
+    return model
