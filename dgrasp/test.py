@@ -6,12 +6,14 @@ import argparse
 import json
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import torch
 
 from dgrasp.baselines import BASELINES
+from dgrasp.baselines.ik import IkBaseline
 from dgrasp.build import build_spec
 from dgrasp.config import Config, load_config
 from dgrasp.data import DataChoice, resolve
@@ -19,8 +21,9 @@ from dgrasp.errors import ConfigError, DataError
 from dgrasp.eval import output
 from dgrasp.eval.agreement import find_agreement
 from dgrasp.eval.evaluator import evaluate
+from dgrasp.eval.meshes import build_bodies, build_interpenetration
 from dgrasp.eval.method import Method, PolicyMethod
-from dgrasp.eval.summary import Result, summarise
+from dgrasp.eval.summary import Result, label_row, summarise
 from dgrasp.pool import PoolSpec, make_pool
 from dgrasp.rl import checkpoint
 from dgrasp.rl.progress import format_duration
@@ -36,6 +39,7 @@ for the window. Prints a table per object, beside the paper's numbers where hand
 
 examples:
   python test.py --baseline gt_pd                        hold the labels' poses with PD control
+  python test.py --baseline gt_ik                        the same after drawing the contacts to the surface
   python test.py --run runs/dexycb_1 --split test        a policy that was trained here
   python test.py --policy full_6000.pt --window 3.87     a policy that the authors published
   python test.py --baseline gt_pd --labels MY.npz --json out.json
@@ -93,6 +97,14 @@ def evaluate_choice(
 ) -> tuple[Result, list[EpisodeRecord], PoolSpec]:
     """Evaluate a method on the chosen labels."""
     spec = build_spec(choice, config)
+    bodies = build_bodies(choice, spec.objects)
+    measure = build_interpenetration(choice, config, spec.hand, bodies) if config.eval.interpenetration else None
+    if isinstance(method, IkBaseline):
+        started = time.perf_counter()
+        labels = method.correct(spec.labels, spec.hand, {name: entry.body for name, entry in bodies.items()})
+        took = time.perf_counter() - started
+        print(f"{method.name}: {len(labels)} labels corrected in {took:.1f} s", file=sys.stderr)
+        spec = replace(spec, labels=labels)
     pool = make_pool(spec)
     try:
         records, cost = evaluate(pool, method, config, config.eval.window_s, _Progress())
@@ -100,9 +112,11 @@ def evaluate_choice(
             print(f"warning: {event}", file=sys.stderr)
     finally:
         pool.close()
+    window = config.eval.window_s
+    rows = [label_row(r, window) if measure is None else label_row(r, window) | measure.measure(r) for r in records]
     result = summarise(
-        records, method=method.name, engine=config.engine, window_s=config.eval.window_s, seed=config.seed,
-        data=choice.stamp(), cost=cost,
+        rows, method=method.name, engine=config.engine, window_s=window, seed=config.seed, data=choice.stamp(),
+        cost=cost, interpenetration=None if measure is None else measure.report(),
     )  # fmt: skip
     return result, records, spec
 

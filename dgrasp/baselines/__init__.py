@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
+from dgrasp.baselines.ik import IkBaseline
 from dgrasp.baselines.pd import PdBaseline
 
-BASELINES = {PdBaseline.name: PdBaseline}
+BASELINES: dict[str, type[PdBaseline]] = {baseline.name: baseline for baseline in (PdBaseline, IkBaseline)}
 """By the name that `--baseline` takes."""

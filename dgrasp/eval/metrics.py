@@ -77,6 +77,64 @@ def contact_ratio(record: EpisodeRecord) -> float | None:
     return float(achieved.mean()) if achieved.size else None
 
 
+def grasp_pose(record: EpisodeRecord) -> tuple[Array, Array, Array] | None:
+    """T_WH (4, 4), finger angles (45,) and T_WO (4, 4) of the finished grasp; None if the episode ended before it.
+
+    It is the last step of the grasping phase. A baseline that starts in the label's pose has no such phase: its grasp
+    is the label, before any physics, as in the paper.
+    """
+    if record.window_start == 0:
+        label = record.label
+        return label.T_WH, label.hand_pose, label.T_WO
+    step = record.window_start - 1
+    if step >= len(record.gc):
+        return None
+    return record.T_WH[step], record.gc[step, 6:], record.T_WO[step]
+
+
+def position_errors_m(record: EpisodeRecord) -> Array:
+    """(T',) m: distance between the object and its target after each step of the window (supplement, e_mpe).
+
+    The norm, as in the authors' code and by the size of the paper's numbers; its formula has the square.
+    """
+    T_WG = _targets(record)
+    offset = record.T_WO[record.window_start :, :3, 3] - T_WG[record.window_start :, :3, 3]
+    return np.asarray(np.linalg.norm(offset, axis=1))
+
+
+def geodesic_errors_rad(record: EpisodeRecord) -> Array:
+    """(T',) rad: angle between the object's and its target's rotation after each step of the window.
+
+    acos((trace(R_o R_g^T) - 1) / 2) of the supplement, by a formula that keeps its digits at small angles.
+    """
+    T_WG = _targets(record)[record.window_start :]
+    R = np.matmul(record.T_WO[record.window_start :, :3, :3], np.swapaxes(T_WG[:, :3, :3], 1, 2))
+    sine = np.stack([R[:, 2, 1] - R[:, 1, 2], R[:, 0, 2] - R[:, 2, 0], R[:, 1, 0] - R[:, 0, 1]], axis=1)
+    return np.asarray(np.arctan2(np.linalg.norm(sine, axis=1), np.trace(R, axis1=1, axis2=2) - 1.0))
+
+
+def mpe_m(record: EpisodeRecord) -> float | None:
+    """The position error at the end of the episode, m; None where it ended before its motion began."""
+    return _last(position_errors_m(record))
+
+
+def geodesic_rad(record: EpisodeRecord) -> float | None:
+    """The angular error at the end of the episode, rad; None where it ended before its motion began."""
+    return _last(geodesic_errors_rad(record))
+
+
+def _targets(record: EpisodeRecord) -> Array:
+    """(T, 4, 4) the object's target after each step."""
+    if record.target_T_WO is None:
+        raise DataError(f"{record.label.name}: the episode has no target pose of the object; expected target_T_WO")
+    return np.broadcast_to(record.target_T_WO, (len(record.T_WO), 4, 4))
+
+
+def _last(errors: Array) -> float | None:
+    finite = errors[np.isfinite(errors)]
+    return float(finite[-1]) if finite.size else None
+
+
 def _fallen(record: EpisodeRecord) -> Array:
     """(T,) bool: the object touches the table or is at `FALLEN_HEIGHT` or below."""
     # Written so that a NaN height counts as fallen.

@@ -9,6 +9,7 @@ from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any
 
+from rich import box
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
@@ -26,19 +27,26 @@ _TITLES = {
     "sim_dist_wrist_mm_per_step": ("SimDist to wrist mm/step", "{:.1f}"),
     "contact_ratio": ("contact ratio", "{:.2f}"),
     "interpenetration_cm3": ("interpen. cm3", "{:.2f}"),
+    "interpenetration_shell_cm3": ("interpen. by shell cm3", "{:.2f}"),
+    "mpe_m": ("MPE m", "{:.3f}"),
+    "geodesic_rad": ("geodesic rad", "{:.2f}"),
 }
 
-_FILES_ALONE = ("sim_dist_mm_per_s", "sim_dist_wrist_mm_per_step")
+_WITH_INTERVAL = ("success", "sim_dist_mm_per_step", "interpenetration_cm3", "mpe_m", "geodesic_rad")
+_FILES_ALONE = ("sim_dist_mm_per_s", "sim_dist_wrist_mm_per_step", "interpenetration_shell_cm3")
 
 
 def print_table(result: Result, console: Console | None = None) -> None:
     """The result as a table, ours beside the paper's where they compare, else a line that says they do not.
 
-    It fits 80 columns, so SimDist is shown in the tables' unit alone; the files hold all metrics.
+    It fits 80 columns, so SimDist is shown in the tables' unit alone, and contacts where there is room; the files hold
+    all metrics.
     """
     console = console or Console()
-    header, rows = table_cells(result, skip=_FILES_ALONE)
-    table = Table(title=escape(title(result)), title_justify="left", show_footer=False)
+    crowded = result.paper is not None and "interpenetration_cm3" in result.mean_over_labels
+    header, rows = table_cells(result, skip=(*_FILES_ALONE, "contact_ratio") if crowded else _FILES_ALONE)
+    table = Table(title=escape(title(result)), title_justify="left", show_footer=False, box=box.SIMPLE_HEAD,
+                  padding=(0, 1, 0, 0), pad_edge=False)
     for i, name in enumerate(header):
         table.add_column(escape(name), justify="left" if i == 0 else "right", no_wrap=i == 0)
     for i, row in enumerate(rows):
@@ -63,8 +71,36 @@ def remarks(result: Result) -> list[str]:
     if result.correlation_with_paper:
         pairs = ", ".join(f"{_name(k)} {v:.2f}" for k, v in result.correlation_with_paper.items())
         lines.append(f"correlation with the paper over objects: {pairs}")
+    means = result.intervals["mean_over_objects"]
+    spans = ", ".join(f"{_name(k)} {_number(k, means[k][0])} to {_number(k, means[k][1])}" for k in _WITH_INTERVAL
+                      if k in means)
+    if spans:
+        lines.append(f"95% intervals of the means over objects (bootstrap over their labels): {spans}")
+    lines += _about_interpenetration(result)
     used = [f"{key} {result.data[key]}" for key in ("hand", "labels", "licence") if key in result.data]
     return [*lines, "; ".join([*used, f"seed {result.seed}", f"code {result.commit}"])]
+
+
+def _about_interpenetration(result: Result) -> list[str]:
+    """Which meshes it was measured on, what is doubtful, and how the paper's numbers compare."""
+    about, mean = result.interpenetration, result.mean_over_objects
+    if about is None or not about["measured"]:
+        return []
+    line = f"interpenetration: the hand's {about['hand_mesh']}, objects' {about['object_mesh']} meshes"
+    line = line.replace("collision shapes meshes", "collision shapes")
+    if not about["as_in_the_paper"]:
+        line += ", where the paper has MANO's skin and detailed objects"
+    if about["holes_capped_in_objects"]:
+        line += f"; {about['holes_capped_in_objects']} holes capped in the objects"
+    if about["doubtful"] or about["failed"]:
+        line += (f"; doubtful on {len(about['doubtful'])} labels (booleans and points differ), failed on "
+                 f"{len(about['failed'])}")
+    lines = [f"{line}; {about['seconds_per_episode']:.2f} s per label"]
+    if result.paper is not None and "interpenetration_shell_cm3" in result.paper:
+        lines.append("the paper's interpenetration counts 5 mm cubes of the object's surface (docs/metrics.md); "
+                     f"counted so: {mean['interpenetration_shell_cm3']:.2f} cm3, paper "
+                     f"{result.paper['interpenetration_shell_cm3']['average']:.2f}")
+    return lines
 
 
 def table_cells(result: Result, skip: Collection[str] = ()) -> tuple[list[str], list[list[str]]]:

@@ -29,8 +29,9 @@ def paper_column(labels_source: str, split: str, method: str) -> Column | None:
     """One method's column: for each object, and "average" as printed, its metrics by this project's names.
 
     labels_source: "dexycb", "grasptta" or "contactopt". split: "train" or "test". method: "gt_pd", "gt_ik" or
-    "policy". Metrics: success, sim_dist_mm_per_step (the printed mean), interpenetration_cm3. None where the
-    paper has no such column or it is misprinted.
+    "policy". Metrics: success, sim_dist_mm_per_step (the printed mean), interpenetration_cm3, and the same number as
+    interpenetration_shell_cm3, which is how it was measured (docs/metrics.md). None where the paper has no such column
+    or it is misprinted.
     """
     if labels_source not in SOURCES or method not in _COLUMNS or (labels_source, method) in _MISPRINTED:
         return None
@@ -46,4 +47,5 @@ def _metrics(entry: dict[str, Any]) -> dict[str, float]:
         "success": float(entry["success"]),
         "sim_dist_mm_per_step": float(entry["sim_dist"][0]),
         "interpenetration_cm3": float(entry["interpenetration_cm3"]),
+        "interpenetration_shell_cm3": float(entry["interpenetration_cm3"]),
     }

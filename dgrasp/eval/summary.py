@@ -12,6 +12,7 @@ import numpy as np
 from dgrasp import __version__
 from dgrasp.errors import DataError
 from dgrasp.eval import metrics
+from dgrasp.eval.intervals import intervals
 from dgrasp.eval.paper import Column, paper_column
 from dgrasp.paths import is_checkout, shipped_root
 from dgrasp.types import EpisodeRecord
@@ -36,6 +37,8 @@ class Result:
     the printed one if all of the paper's objects are here, else the mean of those shown. None where the paper has
     no number for this method, labels and hand. correlation_with_paper: metric -> Pearson's r of the
     per-object means and the paper's; None where it is not defined. cost: control_steps, wall_s, physics_share.
+    intervals: of the means (see `dgrasp.eval.intervals`). interpenetration: what that metric was measured on
+    (`Interpenetration.report`); absent from the JSON where it was not measured.
     """
 
     schema: int
@@ -53,10 +56,15 @@ class Result:
     paper: dict[str, dict[str, float]] | None
     correlation_with_paper: dict[str, float] | None
     cost: dict[str, float]
+    intervals: dict[str, Any]
+    interpenetration: dict[str, Any] | None = None
 
     def as_dict(self) -> dict[str, Any]:
         """Plain values in the order of the fields."""
-        return {field.name: getattr(self, field.name) for field in fields(self)}
+        values = {field.name: getattr(self, field.name) for field in fields(self)}
+        if self.interpenetration is None:
+            del values["interpenetration"]
+        return values
 
 
 def label_row(record: EpisodeRecord, window_s: float) -> Row:
@@ -69,6 +77,8 @@ def label_row(record: EpisodeRecord, window_s: float) -> Row:
         "sim_dist_wrist_mm_per_step": metrics.sim_dist_wrist_mm_per_step(record, window_s),
         "contact_ratio": metrics.contact_ratio(record),
     }
+    if record.target_T_WO is not None:
+        measured["mpe_m"], measured["geodesic_rad"] = metrics.mpe_m(record), metrics.geodesic_rad(record)
     row.update({name: value for name, value in measured.items() if value is not None})
     if record.terminated:
         row["terminated"] = record.terminated
@@ -77,7 +87,7 @@ def label_row(record: EpisodeRecord, window_s: float) -> Row:
 
 def summarise(
     episodes: Sequence[EpisodeRecord | Mapping[str, Any]], *, method: str, engine: str, window_s: float, seed: int,
-    data: Mapping[str, Any], cost: Mapping[str, float],
+    data: Mapping[str, Any], cost: Mapping[str, float], interpenetration: Mapping[str, Any] | None = None,
 ) -> Result:
     """The result of evaluated episodes, given as records or as rows like those of `label_row`, in file order.
 
@@ -104,6 +114,8 @@ def summarise(
         per_label=rows, paper=paper,
         correlation_with_paper=_correlations(paper, object_means) if paper else None,
         cost=dict(cost),
+        intervals=intervals(_by_metric(groups), np.random.default_rng(seed)),
+        interpenetration=None if interpenetration is None else dict(interpenetration),
     )
 
 
@@ -135,6 +147,17 @@ def _checked(row: Mapping[str, Any]) -> Row:
             raise DataError(f"{place}: metric {name} is {value}; expected a finite number, or no entry where it "
                             "could not be computed")
     return out
+
+
+def _by_metric(groups: Mapping[str, Sequence[Row]]) -> dict[str, dict[str, list[float]]]:
+    """Metric -> object -> the values of the rows that have it."""
+    values: dict[str, dict[str, list[float]]] = {}
+    for name, rows in groups.items():
+        for row in rows:
+            for metric, value in row.items():
+                if _is_metric(metric, value):
+                    values.setdefault(metric, {}).setdefault(name, []).append(float(value))
+    return values
 
 
 def _means(rows: Sequence[Mapping[str, Any]]) -> Means:

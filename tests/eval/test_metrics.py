@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -7,12 +9,18 @@ from scipy.spatial.transform import Rotation
 from dgrasp.errors import DataError
 from dgrasp.eval.metrics import (
     contact_ratio,
+    geodesic_errors_rad,
+    geodesic_rad,
+    grasp_pose,
+    mpe_m,
+    position_errors_m,
     sim_dist_mm_per_s,
     sim_dist_mm_per_step,
     sim_dist_wrist_mm_per_step,
     success,
     window_steps,
 )
+from dgrasp.types import Array, EpisodeRecord
 from tests.eval.records import DT, at, label, record
 
 STEPS = 10
@@ -140,6 +148,73 @@ def test_broken_states_of_an_episode_that_did_not_end_are_an_error() -> None:
     x[8, 0] = np.nan
     with pytest.raises(DataError, match=r"test:004_sugar_box\[0\]: NaN"):
         sim_dist_mm_per_step(record(x, window_start=5), WINDOW)
+
+
+def targeted(T_WO: Array, T_WG: Array, window_start: int = 0) -> EpisodeRecord:
+    made = record(np.zeros((len(T_WO), 3)), window_start=window_start)
+    made.T_WO, made.target_T_WO = T_WO, T_WG
+    return made
+
+
+def turned(axis: str, angles: Any) -> Array:
+    angles = np.atleast_1d(angles)
+    T = np.tile(np.eye(4), (len(angles), 1, 1))
+    T[:, :3, :3] = Rotation.from_euler(axis, angles[:, None]).as_matrix()
+    return T
+
+
+@pytest.mark.parametrize("angle", [0.0, 1e-7, 0.3, np.pi / 2, 3.0, np.pi])
+def test_geodesic_of_a_rotation(angle: float) -> None:
+    base = Rotation.from_euler("xyz", [0.4, -1.1, 2.0]).as_matrix()
+    T_WO, T_WG = turned("y", angle), np.eye(4)
+    T_WO[:, :3, :3], T_WG[:3, :3] = base @ T_WO[:, :3, :3], base
+    assert geodesic_rad(targeted(T_WO, T_WG)) == pytest.approx(angle, abs=1e-9)
+    # The same angle in degrees of the paper's formula, where it has digits.
+    if 0.1 < angle < 3.1:
+        trace = np.trace(T_WO[0, :3, :3] @ T_WG[:3, :3].T)
+        assert geodesic_rad(targeted(T_WO, T_WG)) == pytest.approx(np.arccos(0.5 * (trace - 1)))
+
+
+def test_a_quarter_turn_is_half_pi_about_any_axis() -> None:
+    for axis in "xyz":
+        assert geodesic_rad(targeted(turned(axis, np.pi / 2), np.eye(4))) == pytest.approx(np.pi / 2)
+
+
+def test_errors_count_from_the_window_and_mpe_is_the_last() -> None:
+    T_WO, T_WG = turned("z", [9.0, 0.3, 0.2, 0.1]), np.eye(4)
+    T_WO[:, :3, 3] = [[9, 9, 9], [0.3, 0.4, 0], [0.03, 0.04, 0], [0.006, 0.008, 0.0]]
+    moving = targeted(T_WO, T_WG, window_start=1)
+    assert position_errors_m(moving) == pytest.approx([0.5, 0.05, 0.01])
+    assert geodesic_errors_rad(moving) == pytest.approx([0.3, 0.2, 0.1])
+    assert mpe_m(moving) == pytest.approx(0.01) and geodesic_rad(moving) == pytest.approx(0.1)
+
+
+def test_a_target_may_move() -> None:
+    T_WO, T_WG = turned("z", [0.0, 0.5, 1.0]), turned("z", [0.1, 0.6, 1.3])
+    T_WG[:, 0, 3] = [0.01, 0.02, 0.03]
+    moving = targeted(T_WO, T_WG)
+    assert position_errors_m(moving) == pytest.approx([0.01, 0.02, 0.03])
+    assert geodesic_errors_rad(moving) == pytest.approx([0.1, 0.1, 0.3])
+
+
+def test_errors_without_a_target_or_a_motion() -> None:
+    with pytest.raises(DataError, match=r"test:004_sugar_box\[0\]: the episode has no target"):
+        mpe_m(record(at([0.6])))
+    assert mpe_m(targeted(turned("z", [0.0]), np.eye(4), window_start=5)) is None
+    broken = targeted(turned("z", [0.0, 0.0]), np.eye(4))
+    broken.T_WO[1] = np.nan
+    assert mpe_m(broken) == 0.0 and geodesic_rad(broken) == 0.0
+
+
+def test_the_pose_of_a_grasp() -> None:
+    episode = record(at([0.6, 0.7, 0.8]), window_start=2)
+    episode.gc[:, 6:] = np.arange(3)[:, None]
+    T_WH, pose, T_WO = grasp_pose(episode)  # type: ignore[misc]
+    assert T_WO[2, 3] == 0.7 and (pose == 1.0).all() and (episode.T_WH[1] == T_WH).all()
+    from_label = record(at([0.6]), window_start=0)
+    T_WH, pose, T_WO = grasp_pose(from_label)  # type: ignore[misc]
+    assert T_WO is from_label.label.T_WO and pose is from_label.label.hand_pose
+    assert grasp_pose(record(at([0.6]), window_start=2, terminated="unstable")) is None
 
 
 def test_contact_ratio_over_the_whole_sequence() -> None:

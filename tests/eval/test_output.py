@@ -10,8 +10,8 @@ from rich.console import Console
 
 from dgrasp.errors import DataError
 from dgrasp.eval import output
-from dgrasp.eval.summary import Result
-from tests.eval.test_summary import FREE, PAPER, result, row
+from dgrasp.eval.summary import Result, summarise
+from tests.eval.test_summary import COST, FREE, PAPER, result, row
 
 ROWS = [
     row("002_master_chef_can", 0, True, sim_dist_mm_per_step=1.25, interpenetration_cm3=2.0),
@@ -71,6 +71,26 @@ def test_printed(free: Result, beside: Result) -> None:
 def test_correlation_is_told() -> None:
     rows = [row("002_master_chef_can", 0, False), row("003_cracker_box", 0, False), row("004_sugar_box", 0, True)]
     assert "correlation with the paper over objects: success 0.98" in shown(result(rows, PAPER))
+
+
+def test_on_the_terminal_it_fits_80_columns_and_says_what_it_rests_on() -> None:
+    rows = [row(f"00{i}_{'x' * 17}", k, k > 0, sim_dist_mm_per_step=24.0, contact_ratio=0.5, interpenetration_cm3=12.34,
+                interpenetration_shell_cm3=11.0) for i in range(2, 5) for k in range(3)]
+    rows += [row("002_master_chef_can", k, True, sim_dist_mm_per_step=20.0, contact_ratio=0.5, interpenetration_cm3=2.0,
+                 interpenetration_shell_cm3=5.0) for k in range(2)]
+    about = {"hand_mesh": "part meshes", "object_mesh": "detailed", "as_in_the_paper": False, "measured": 11,
+             "doubtful": ["x"], "failed": [], "seconds_per_episode": 0.031, "holes_capped_in_objects": 2}
+    one = summarise(rows, method="gt_pd", engine="pybullet", window_s=5.0, seed=1, data=PAPER, cost=COST,
+                    interpenetration=about)
+    text = shown(one, width=80)
+    table = text.split("mean over labels")[0]
+    assert "…" not in table and "interpen." in table and "success" in table and "contact" not in table
+    for said in ("95% intervals of the means", "the hand's part meshes, objects' detailed meshes", "MANO's skin",
+                 "doubtful on 1 labels", "2 holes capped", "0.03 s per label", "counted so: 9.50 cm3, paper 5.68"):
+        assert said in text.replace("\n", " "), said
+    assert "interpen. by shell cm3" in output.markdown_text(one)
+    plain = summarise(rows, method="gt_pd", engine="pybullet", window_s=5.0, seed=1, data=FREE, cost=COST)
+    assert "contact" in shown(plain, width=80) and "MANO's skin" not in shown(plain)
 
 
 def test_json(tmp_path: Path, beside: Result) -> None:

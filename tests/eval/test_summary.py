@@ -32,7 +32,7 @@ def test_the_keys_are_those_of_the_interface_in_order() -> None:
     out = result([row("025_mug", 0, True)]).as_dict()
     assert list(out) == [
         "schema", "method", "engine", "window_s", "seed", "commit", "data", "n_labels", "mean_over_objects",
-        "mean_over_labels", "per_object", "per_label", "paper", "correlation_with_paper", "cost",
+        "mean_over_labels", "per_object", "per_label", "paper", "correlation_with_paper", "cost", "intervals",
     ]
     assert (out["schema"], out["paper"], out["correlation_with_paper"]) == (1, None, None)
     assert (out["data"], out["cost"]) == (FREE, COST)
@@ -92,6 +92,28 @@ def test_records_become_rows() -> None:
     assert out.mean_over_labels["contact_ratio"] == 1.0
 
 
+def test_a_target_of_the_object_adds_its_errors() -> None:
+    moving = record(at([0.6, 0.6, 0.6]), of=label("025_mug"))
+    moving.target_T_WO = np.eye(4)
+    moving.target_T_WO[2, 3] = 0.5
+    values = label_row(moving, 3 * DT)
+    assert values["mpe_m"] == pytest.approx(0.1) and values["geodesic_rad"] == 0.0
+    assert "mpe_m" not in label_row(record(at([0.6, 0.6, 0.6])), 3 * DT)
+
+
+def test_intervals_and_what_interpenetration_was_measured_on() -> None:
+    rows = [row("025_mug", i, i < 2, interpenetration_cm3=float(i)) for i in range(4)]
+    about = {"hand_mesh": "part meshes", "measured": 4}
+    out = summarise(rows, method="gt_pd", engine="pybullet", window_s=5.0, seed=1, data=FREE, cost=COST,
+                    interpenetration=about)
+    assert out.as_dict()["interpenetration"] == about
+    low, high = out.intervals["mean_over_objects"]["interpenetration_cm3"]
+    assert 0.0 <= low < 1.5 < high <= 3.0
+    assert set(out.intervals["per_object"]["025_mug"]) == {"success", "interpenetration_cm3"}
+    again = summarise(rows, method="gt_pd", engine="pybullet", window_s=5.0, seed=1, data=FREE, cost=COST)
+    assert again.intervals == out.intervals and "interpenetration" not in again.as_dict()
+
+
 def test_bad_rows() -> None:
     with pytest.raises(DataError, match="no evaluated labels"):
         result([])
@@ -111,7 +133,9 @@ def _like_the_paper(method: str = "gt_pd") -> list[dict[str, Any]]:
 def test_beside_the_paper() -> None:
     out = result(_like_the_paper(), PAPER)
     assert out.paper is not None
-    assert list(out.paper) == ["success", "sim_dist_mm_per_step", "interpenetration_cm3"]
+    assert list(out.paper) == [
+        "success", "sim_dist_mm_per_step", "interpenetration_cm3", "interpenetration_shell_cm3"
+    ]
     assert out.paper["success"]["002_master_chef_can"] == 0.19
     # All 20 objects: the printed average, not the mean of the rounded rows (0.3145).
     assert out.paper["success"]["average"] == 0.31

@@ -1,0 +1,62 @@
+"""Collision shapes as triangles."""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Any
+
+import numpy as np
+
+from dgrasp.types import Array
+from raisim_like.shapes import Shape
+from raisim_like.urdf import shape_pose
+
+SEGMENTS = 32
+"""Corners of a circle. They lie a little outside of it, so that round shapes keep their volume."""
+
+
+def shape_mesh(shape: Shape) -> tuple[Array, Array]:
+    """Vertices (V, 3) m and faces (F, 3), wound outwards, in the frame of the shape's body.
+
+    A hull is the convex hull of its file's vertices, a mesh its file's triangles.
+    """
+    import manifold3d
+
+    solid = manifold3d.Manifold
+    made: Any
+    if shape.kind == "box":
+        made = solid.cube(shape.size, True)
+    elif shape.kind == "cylinder":
+        radius, length = shape.size
+        made = solid.cylinder(length, _CIRCLE * radius, circular_segments=SEGMENTS, center=True)
+    elif shape.kind in ("sphere", "capsule"):
+        ball = solid.sphere(_ball() * shape.size[0], SEGMENTS)
+        length = shape.size[1] if shape.kind == "capsule" else 0.0
+        made = solid.batch_hull([ball.translate((0.0, 0.0, end * length / 2)) for end in (-1.0, 1.0)])
+    else:
+        if shape.file is None:
+            raise ValueError(f"a shape of kind {shape.kind!r} needs a file")
+        from dgrasp.objects.inertia import load_mesh
+
+        mesh = load_mesh(shape.file)
+        mesh = mesh.convex_hull if shape.kind == "hull" else mesh
+        return _placed(shape, np.asarray(mesh.vertices), np.asarray(mesh.faces))
+    triangles = made.to_mesh64()
+    return _placed(shape, np.asarray(triangles.vert_properties)[:, :3], np.asarray(triangles.tri_verts))
+
+
+_CIRCLE = float(np.sqrt((2.0 * np.pi / SEGMENTS) / np.sin(2.0 * np.pi / SEGMENTS)))
+"""By how much the corners of a polygon lie outside of the circle of the same area."""
+
+
+@cache
+def _ball() -> float:
+    """The same for the corners of a ball of the same volume."""
+    import manifold3d
+
+    return float((4.0 / 3.0 * np.pi / manifold3d.Manifold.sphere(1.0, SEGMENTS).volume()) ** (1.0 / 3.0))
+
+
+def _placed(shape: Shape, vertices: Array, faces: Array) -> tuple[Array, Array]:
+    T = shape_pose(shape)
+    return vertices @ T[:3, :3].T + T[:3, 3], faces.astype(np.int64)

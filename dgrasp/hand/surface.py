@@ -1,0 +1,136 @@
+"""The hand's surface in any pose: the skinned mesh, its rigid parts, or its collision shapes, whichever is at hand."""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ElementTree
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+
+from dgrasp.errors import DataError
+from dgrasp.geometry.intersection import Body, body
+from dgrasp.geometry.shape_mesh import shape_mesh
+from dgrasp.hand.mano import read_mano
+from dgrasp.hand.mano_model import ManoModel, mirror_mano
+from dgrasp.hand.model import HandModel
+from dgrasp.hand.segment import segment
+from dgrasp.hand.skeleton import N_PARTS, PART_PARENT
+from dgrasp.hand.skinning import numpy_skin
+from dgrasp.labels.distance import part_poses
+from dgrasp.types import Array
+from raisim_like.rotations import matrix_from_euler, transform
+from raisim_like.shapes import Shape
+
+SKIN, PART_MESHES, COLLISION = "skinned mesh", "part meshes", "collision shapes"
+"""Kinds of surface, the paper's first."""
+
+SAME_JOINTS = 0.002
+"""m. A MANO model belongs to a hand whose joints lie this close to its own."""
+
+
+class HandSurface(Protocol):
+    """A hand's surface; `kind` says what it is made of."""
+
+    kind: str
+
+    def pieces(self, T_AH: Array, hand_pose: Array) -> list[Body]:
+        """Closed bodies in frame A whose union is the hand, for its wrist (4, 4) and finger angles (45,)."""
+
+
+class RigidSurface:
+    """Bodies that move with the 16 parts: pieces[i] (in its part's frame) moves with parts[i]."""
+
+    def __init__(self, kind: str, hand: HandModel, parts: list[int], pieces: list[Body]) -> None:
+        self.kind, self._hand, self._parts, self._pieces = kind, hand, parts, pieces
+
+    def pieces(self, T_AH: Array, hand_pose: Array) -> list[Body]:
+        R, t = part_poses(self._hand, T_AH[None], hand_pose[None])
+        return [piece.placed(transform(R[0, part], t[0, part]))
+                for part, piece in zip(self._parts, self._pieces, strict=True)]
+
+
+class SkinnedSurface:
+    """MANO's skin, cut into 16 closed pieces, so that a hand that touches itself is not counted twice."""
+
+    kind = SKIN
+
+    def __init__(self, model: ManoModel, betas: Array) -> None:
+        self._skin, self._faces, self._weights = numpy_skin(model), model.faces, model.part_weights()
+        self._betas = np.asarray(betas, dtype=float)[None]
+
+    def pieces(self, T_AH: Array, hand_pose: Array) -> list[Body]:
+        rotations = np.empty((1, N_PARTS, 3, 3))
+        rotations[0, 0] = T_AH[:3, :3]
+        rotations[0, 1:] = matrix_from_euler(hand_pose.reshape(-1, 3))
+        vertices, _ = self._skin.forward(rotations, T_AH[None, :3, 3], self._betas)
+        parts = segment(vertices[0], self._faces, self._weights, np.zeros((N_PARTS, 3)))
+        return [body([(part.vertices, part.faces)]) for part in parts]
+
+
+def hand_surface(hand: HandModel, mano: Path | None, meta: dict[str, Any]) -> HandSurface:
+    """The best surface that there is: skinned if `mano` names MANO's file, else part meshes, else collision shapes.
+
+    meta: what is known of how the hand was made (`store.NamedHand.meta`), for its side and shape; empty for the mean
+    shape of a right hand. Raises `DataError` where the file is no MANO hand, or another hand than this one.
+    """
+    if mano is not None:
+        return _skinned(hand, mano, meta)
+    meshes = _part_meshes(hand)
+    if meshes is not None:
+        return RigidSurface(PART_MESHES, hand, list(range(N_PARTS)), meshes)
+    parts, pieces = [], []
+    for part in range(N_PARTS):
+        for shape in hand.urdf.links[int(hand.part_links[part])].shapes:
+            parts.append(part)
+            pieces.append(body([shape_mesh(shape)]))
+    if not pieces:
+        raise DataError(f"{hand.urdf.path}: neither meshes nor collision shapes; expected a hand with one of them")
+    return RigidSurface(COLLISION, hand, parts, pieces)
+
+
+def _skinned(hand: HandModel, file: Path, meta: dict[str, Any]) -> SkinnedSurface:
+    model = read_mano(file)
+    if meta.get("side", "right") != model.side:
+        model = mirror_mano(model)
+    betas = np.array(meta.get("betas", []), dtype=float)
+    _, joints = model.shaped(betas)
+    offsets = np.array([joints[i] - joints[PART_PARENT[i]] for i in range(1, N_PARTS)])
+    off = float(np.linalg.norm(offsets - hand.offsets[1:], axis=1).max())
+    if off > SAME_JOINTS:
+        raise DataError(f"eval.mano: the joints of {file} lie up to {1000 * off:.1f} mm from those of the hand "
+                        f"{hand.id!r}; expected the model that the hand was made from; leave eval.mano out to measure "
+                        "on the hand's own shapes")
+    return SkinnedSurface(model, betas)
+
+
+def _part_meshes(hand: HandModel) -> list[Body] | None:
+    """The 16 parts' visual meshes, one body per part; None unless every part has one that is there."""
+    visuals: list[list[tuple[Array, Array]]] = [[] for _ in range(N_PARTS)]
+    part_of = {int(link): part for part, link in enumerate(hand.part_links)}
+    text = hand.urdf.path.read_text(encoding="utf-8")
+    # As in `read_urdf`, which has read the file before: a wrong XML version does no harm.
+    root = ElementTree.fromstring(text.partition("?>")[2] if text.lstrip().startswith("<?xml") else text)
+    for element in root.findall("link"):
+        link, T_link = hand.urdf.frames[element.get("name") or ""]
+        for visual in element.findall("visual"):
+            node = visual.find("geometry/mesh")
+            if node is None or link not in part_of:
+                continue
+            file = hand.urdf.path.parent / (node.get("filename") or "")
+            if not file.is_file():
+                return None
+            T = T_link @ _origin(visual)
+            vertices, faces = shape_mesh(Shape("mesh", file=file))
+            visuals[part_of[link]].append((vertices @ T[:3, :3].T + T[:3, 3], faces))
+    return [body(meshes) for meshes in visuals] if all(visuals) else None
+
+
+def _origin(element: ElementTree.Element) -> Array:
+    node = element.find("origin")
+    if node is None:
+        return np.eye(4)
+    xyz, rpy = (np.array([float(word) for word in node.get(key, "0 0 0").split()]) for key in ("xyz", "rpy"))
+    # URDF turns about fixed axes: R = Rz Ry Rx.
+    x, y, z = (matrix_from_euler(np.eye(3)[i] * rpy[i]) for i in range(3))
+    return transform(z @ y @ x, xyz)

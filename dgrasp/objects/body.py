@@ -1,0 +1,45 @@
+"""An object's surface as a body: for what is measured on meshes, not simulated."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from dgrasp.geometry.intersection import Body, body
+from dgrasp.geometry.shape_mesh import shape_mesh
+from dgrasp.objects.model import ObjectModel
+from dgrasp.types import Array
+from raisim_like.shapes import Shape
+
+DETAILED_MESH = "textured_meshlab.obj"
+"""The most detailed mesh that the authors' release has of an object."""
+
+
+@dataclass(frozen=True, eq=False)
+class ObjectBody:
+    """An object in its frame O; detailed: made from the release's detailed mesh, not from collision shapes."""
+
+    body: Body
+    detailed: bool
+
+
+def object_body(model: ObjectModel, objects_dir: Path) -> ObjectBody:
+    """The object's detailed mesh where `objects_dir` has one, else its collision shapes.
+
+    Raises `DataError` for a damaged mesh.
+    """
+    file = Path(objects_dir) / model.name / DETAILED_MESH
+    detailed = file.is_file()
+    shapes: Sequence[Shape] = (Shape("mesh", file=file),) if detailed else model.shapes
+    return ObjectBody(body([shape_mesh(shape) for shape in shapes]), detailed)
+
+
+def surface_points(of: Body, spacing: float) -> Array:
+    """(P, 3) m: points all over the body's surface, neighbours at most `spacing` (m) apart."""
+    import trimesh  # Late: it takes a second.
+
+    vertices, _ = trimesh.remesh.subdivide_to_size(*of.surface(), max_edge=spacing, max_iter=20)
+    return np.unique(np.asarray(vertices), axis=0)
