@@ -10,6 +10,7 @@ from dgrasp.objects.free import free_object
 from dgrasp.objects.model import ObjectModel
 from dgrasp.objects.release import Concave, release_object
 from dgrasp.pool import Pool, PoolSpec, make_pool
+from dgrasp.scene.standing import standing
 from raisim_like.engines import make_engine
 from raisim_like.errors import EngineError
 
@@ -38,7 +39,8 @@ def build_spec(choice: DataChoice, config: Config) -> PoolSpec:
         make_engine(config.engine)
     except EngineError as error:
         raise ConfigError(f"engine: {error}") from None
-    return PoolSpec(choice.labels.labels, build_hand(choice), build_objects(choice, config), config)
+    objects = build_objects(choice, config)
+    return PoolSpec(standing(choice.labels.labels, objects), build_hand(choice), objects, config)
 
 
 def build_pool(choice: DataChoice, config: Config) -> Pool:
