@@ -11,7 +11,7 @@ import pytest
 
 from dgrasp.config import load_config
 from dgrasp.env.grasp_env import GraspEnv
-from dgrasp.scene.scene import LOWERED_TOP, TABLE_TOP
+from dgrasp.scene.scene import LOWERED_TOP, TABLE_TOP, Scene
 from dgrasp.types import Array
 from raisim_like.rotations import euler_from_matrix
 from tests.env.build import actions, box, hand, label, make_env
@@ -22,10 +22,24 @@ QUICK = ["physics.substeps=2"]
 
 
 @pytest.fixture
-def env() -> Iterator[GraspEnv]:
-    made = make_env(2, overrides=QUICK)
+def env(engine: str) -> Iterator[GraspEnv]:
+    made = make_env(2, overrides=[*QUICK, f"engine={engine}"])
     yield made
     made.close()
+
+
+@pytest.fixture
+def targets(monkeypatch: pytest.MonkeyPatch) -> list[Array]:
+    """The PD targets that any hand is given."""
+    given: list[Array] = []
+    tell = Scene.set_target
+
+    def record(scene: Scene, target: Array) -> None:
+        given.append(target.copy())
+        tell(scene, target)
+
+    monkeypatch.setattr(Scene, "set_target", record)
+    return given
 
 
 def test_sizes(env: GraspEnv) -> None:
@@ -50,10 +64,10 @@ def test_noise_belongs_to_seed_epoch_and_environment(env: GraspEnv) -> None:
     assert np.array_equal(start(env, 0), first)
     assert np.abs(start(env, 1) - first).max(axis=1).min() > 1e-4
     assert not np.array_equal(first[0, 18:], first[1, 18:])
-    other_seed = make_env(2, overrides=[*QUICK, "seed=2"])
+    other_seed = make_env(2, overrides=[*QUICK, "seed=2", f"engine={env.config.engine}"])
     assert np.abs(start(other_seed, 0) - first).max(axis=1).min() > 1e-4
     other_seed.close()
-    second_alone = make_env(1, first=1, overrides=QUICK)
+    second_alone = make_env(1, first=1, overrides=[*QUICK, f"engine={env.config.engine}"])
     assert np.array_equal(start(second_alone, 0)[0], first[1])
     second_alone.close()
 
@@ -84,9 +98,10 @@ def test_without_noise_every_epoch_starts_alike() -> None:
     quiet.close()
 
 
-def test_division_into_batches_changes_nothing_to_the_bit() -> None:
+def test_division_into_batches_changes_nothing_to_the_bit(engine: str) -> None:
     """Two labels in one environment, and each alone: the same observations and rewards."""
-    together, alone = make_env(2), [make_env(1, first=0), make_env(1, first=1)]
+    on = [f"engine={engine}"]
+    together, alone = make_env(2, overrides=on), [make_env(1, i, on) for i in range(2)]
     observations = [together.reset(3).copy()]
     others = [np.vstack([one.reset(3) for one in alone])]
     for t in range(10):
@@ -109,18 +124,18 @@ def test_an_epoch_can_be_repeated_to_the_bit(env: GraspEnv) -> None:
     assert np.array_equal(runs[0], runs[1])
 
 
-def test_targets_are_bias_plus_scaled_action_within_the_limits(env: GraspEnv) -> None:
+def test_targets_are_bias_plus_scaled_action_within_the_limits(env: GraspEnv, targets: list[Array]) -> None:
     env.reset(0)
     before = env.s.gc.copy()
     action = actions(2, 0)
     action[0, 20], action[1, 30] = 1e6, -1e6
     env.step(action)
-    for i, scene in enumerate(env.scenes):
-        target = scene.world.engine_world.systems[scene.hand.id].target  # type: ignore[attr-defined]
+    assert len(targets) == 2
+    for i, target in enumerate(targets):
         expected = np.clip(before[i, 6:] + 0.015 * action[i, 6:], *hand().limits[6:].T)
         assert target[6:] == pytest.approx(expected, abs=1e-7)
         assert (target >= hand().limits[:, 0]).all() and (target <= hand().limits[:, 1]).all()
-    assert env.scenes[0].world.engine_world.systems[env.scenes[0].hand.id].target[20] == hand().limits[20, 1]
+    assert targets[0][20] == hand().limits[20, 1]
 
 
 def test_episodes_are_truncated_and_restart_at_once() -> None:
@@ -175,8 +190,8 @@ def test_test_mode_has_no_noise_and_no_end() -> None:
     env.close()
 
 
-def test_an_object_that_nobody_holds_falls_when_the_table_goes() -> None:
-    env = make_env(1)
+def test_an_object_that_nobody_holds_falls_when_the_table_goes(engine: str, targets: list[Array]) -> None:
+    env = make_env(1, overrides=[f"engine={engine}"])
     env.reset(0, mode="test")
     nothing = np.zeros((1, 51), np.float32)
     for _ in range(3):
@@ -193,8 +208,7 @@ def test_an_object_that_nobody_holds_falls_when_the_table_goes() -> None:
     assert contacts[:7] == [False] * 7 and any(contacts[7:])
     assert env.s.object_pos_W[0, 2] == pytest.approx(LOWERED_TOP + 0.0875, abs=0.01)
     # The action moves the fingers alone now; the wrist is held where it was, with ten times the stiffness.
-    target = env.scenes[0].world.engine_world.systems[env.scenes[0].hand.id].target  # type: ignore[attr-defined]
-    assert target[:6] == pytest.approx(wrist, abs=1e-12)
+    assert targets[-1][:6] == pytest.approx(wrist, abs=1e-12)
     env.close()
 
 

@@ -28,13 +28,13 @@ def hand() -> HandModel:
     return load_hand(URDF_PATH, "free")
 
 
-def make_scene(hand: HandModel, **physics: object) -> Scene:
-    return Scene(hand, free_object("004_sugar_box", "official", True), PhysicsConfig(**physics), "pybullet")
+def make_scene(hand: HandModel, engine: str, **physics: object) -> Scene:
+    return Scene(hand, free_object("004_sugar_box", "official", True), PhysicsConfig(**physics), engine)
 
 
 @pytest.fixture
-def scene(hand: HandModel) -> Iterator[Scene]:
-    made = make_scene(hand)
+def scene(hand: HandModel, engine: str) -> Iterator[Scene]:
+    made = make_scene(hand, engine)
     yield made
     made.close()
 
@@ -145,8 +145,8 @@ def test_a_hand_that_presses_on_the_object_feels_it_part_by_part(scene: Scene) -
 
 
 @pytest.mark.parametrize("collides", [True, False])
-def test_the_hand_meets_the_table_only_where_configured(hand: HandModel, collides: bool) -> None:
-    scene = make_scene(hand, hand_table_collision=collides)
+def test_the_hand_meets_the_table_only_where_configured(hand: HandModel, engine: str, collides: bool) -> None:
+    scene = make_scene(hand, engine, hand_table_collision=collides)
     scene.place(transform(np.eye(3), np.array([1.0, 0.1, TABLE_TOP + 0.005])), FLAT,
                 transform(np.eye(3), np.array([0.5, 0.4, TABLE_TOP + HEIGHT / 2])), TABLE_TOP)
     scene.world.integrate(2)
@@ -156,9 +156,9 @@ def test_the_hand_meets_the_table_only_where_configured(hand: HandModel, collide
     scene.close()
 
 
-def test_a_placed_scene_has_no_past(hand: HandModel) -> None:
+def test_a_placed_scene_has_no_past(hand: HandModel, engine: str) -> None:
     """A hand that pressed, placed anew, does what it does in a fresh world, to the bit."""
-    used, fresh = make_scene(hand), make_scene(hand)
+    used, fresh = make_scene(hand, engine), make_scene(hand, engine)
     T_WH = above(used)
     press(used, T_WH, 200)
     states = []
