@@ -2,7 +2,7 @@
 
 Per engine and object, under the policy, as in a test (the approach, then the hold without a table): control steps
 per second and core, the share of the wall time inside the engine's own step, and the ratio to a bare loop of that
-step. For the bare loop, every tenth control step is taken back and made again without control.
+step. For the bare loop, every tenth control step is made once more under constant torques, and taken back.
 Then the same with several processes at once, each with its share of the labels: the sum of their rates.
 """
 
@@ -75,9 +75,7 @@ def measure(spec: PoolSpec, method: Method, hold: int, bare: bool) -> Rate:
         if bare and t % BARE_EVERY == BARE_EVERY // 2:
             for scene in env.scenes:
                 snapshot = scene.world.save()
-                start = time.perf_counter()
-                scene.world.engine_world.bare_step(substeps)
-                rate.bare_s += time.perf_counter() - start
+                rate.bare_s += scene.world.engine_world.bare_step(substeps)
                 rate.bare_steps += 1
                 scene.world.restore(snapshot)
         before, start = env.step_seconds, time.perf_counter()

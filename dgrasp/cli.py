@@ -5,13 +5,24 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Sequence
-from typing import Any
+from importlib import import_module
 
 from dgrasp import __version__
 from dgrasp.errors import DGraspError
 
 EXIT_BAD_INPUT, EXIT_INTERRUPTED = 2, 130
-COMMANDS = ("train", "test", "demo", "hand build", "hand report")
+COMMANDS = {
+    "train": "dgrasp.train",
+    "test": "dgrasp.test",
+    "demo": "dgrasp.demo",
+    "runs": "dgrasp.runs",
+    "hand build": "dgrasp.hand.build_command",
+    "hand report": "dgrasp.hand.report_command",
+    "labels import dexycb": "dgrasp.labels.import_dexycb",
+    "labels import ho3d": "dgrasp.labels.import_ho3d",
+    "labels import mano": "dgrasp.labels.import_mano",
+}
+"""Each command's module: `HELP`, `add_arguments` and `main`."""
 
 
 _USAGE = """\
@@ -23,27 +34,10 @@ commands:
   train    train a grasping policy
   test     evaluate a policy or a baseline
   demo     train briefly on the free set and show what happens
+  runs     list training runs, compare two
   hand     build: a physics hand from a MANO file; report: compare hands
+  labels   import: labels from DexYCB, HO3D or MANO parameters; check: what is wrong with a label file
 """
-
-
-def _command(name: str) -> Any:
-    """The module of a subcommand: `HELP`, `add_arguments` and `main`."""
-    if name == "train":
-        from dgrasp import train
-
-        return train
-    if name == "test":
-        from dgrasp import test
-
-        return test
-    if name.startswith("hand "):
-        from dgrasp.hand import build_command, report_command
-
-        return build_command if name == "hand build" else report_command
-    from dgrasp import demo
-
-    return demo
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -76,7 +70,7 @@ def run_command(name: str, arguments: Sequence[str], prog: str | None = None) ->
     """One command with its arguments; train.py and test.py call this."""
     from dgrasp.rl.runner import Interrupted
 
-    module = _command(name)
+    module = import_module(COMMANDS[name])
     parser = argparse.ArgumentParser(
         prog=prog, description=module.HELP, formatter_class=argparse.RawDescriptionHelpFormatter
     )
@@ -88,7 +82,7 @@ def run_command(name: str, arguments: Sequence[str], prog: str | None = None) ->
         return EXIT_BAD_INPUT
     except Interrupted as stop:
         print(str(stop), file=sys.stderr)
-        return EXIT_INTERRUPTED
+        return 0 if stop.preempted else EXIT_INTERRUPTED
     except KeyboardInterrupt:
         print("interrupted", file=sys.stderr)
         return EXIT_INTERRUPTED

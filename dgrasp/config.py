@@ -129,6 +129,27 @@ class EnvConfig(_Section):
     reward: RewardConfig = RewardConfig()
 
 
+class MotionConfig(_Section):
+    """Motion synthesis (paper, section 3.3; supplement, A.2): the wrist carries the object to a 6D target.
+
+    targets: where to: "easy" (the authors'), "ood", "circle", "pour" or a file (docs/motion.md); null tests the grasp
+    alone. per_label: how many targets each grasp is moved to; null takes one of a set, all of a file. steps: control
+    steps of the motion. beta_position, beta_rotation: the gain beta, reached after ramp_position and ramp_rotation
+    control steps in equal steps. stable_alone: leave out grasps that fail the stability test, as the paper does.
+    static_fingers: what the baseline "static grasp" holds, the fingers' last PD targets or their pose.
+    """
+
+    targets: str | None = None
+    per_label: Count | None = None
+    steps: Count = 300
+    beta_position: Fraction = 1.0
+    beta_rotation: Fraction = 1.0
+    ramp_position: Count = 1000
+    ramp_rotation: Count = 2000
+    stable_alone: bool = True
+    static_fingers: Literal["target", "pose"] = "target"
+
+
 class PpoConfig(_Section):
     """PPO with the paper's hyperparameters (supplement, Table of PPO) and the authors' choices.
 
@@ -210,6 +231,7 @@ class Config(_Section):
     labels: LabelsConfig = LabelsConfig()
     physics: PhysicsConfig = PhysicsConfig()
     env: EnvConfig = EnvConfig()
+    motion: MotionConfig = MotionConfig()
     ppo: PpoConfig = PpoConfig()
     pool: PoolConfig = PoolConfig()
     checkpoint: CheckpointConfig = CheckpointConfig()

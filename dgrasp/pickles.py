@@ -121,6 +121,8 @@ def opcodes(names: tuple[str, ...]) -> Dispatch:
     table[pickle.BUILD[0]] = _load_build
     table[pickle.SETITEM[0]] = _load_setitem
     table[pickle.SETITEMS[0]] = _load_setitems
+    if "DICT" in names:
+        table[pickle.DICT[0]] = _load_dict
     return table
 
 
@@ -136,6 +138,12 @@ def _load_setitem(self: RestrictedUnpickler) -> None:
 
 def _load_setitems(self: RestrictedUnpickler) -> None:
     items = self.pop_mark()  # type: ignore[attr-defined]
+    _set_items(self.stack, items)
+
+
+def _load_dict(self: RestrictedUnpickler) -> None:
+    items = self.pop_mark()  # type: ignore[attr-defined]
+    self.stack.append({})
     _set_items(self.stack, items)
 
 
@@ -190,6 +198,42 @@ class RestrictedUnpickler(pickle._Unpickler):
             raise DataError(f"the pickle sets state on a {type(target).__name__}; only arrays are expected")
         target.__setstate__(state)
         return target
+
+
+class _ArrayStub:
+    """What `_reconstruct` leaves; BUILD replaces it by the array."""
+
+
+def _reconstruct(kind: Any, shape: Any, code: Any) -> _ArrayStub:
+    if kind is not NdarrayMarker:
+        raise DataError("malformed array")
+    return _ArrayStub()
+
+
+class ArrayUnpickler(RestrictedUnpickler):
+    """Reads arrays as numpy pickles them itself, by `_reconstruct` and their bytes, from Python 2 or 3."""
+
+    allowed: ClassVar[Globals] = {
+        **NUMPY_GLOBALS,
+        ("numpy.core.multiarray", "_reconstruct"): _reconstruct,
+        ("numpy._core.multiarray", "_reconstruct"): _reconstruct,
+    }
+    # Texts and array bytes of Python 2 are its 8-bit strings.
+    handlers = opcodes((*PLAIN_OPCODES, "SHORT_BINSTRING", "BINSTRING"))
+
+    def build(self, target: Any, state: Any) -> Any:
+        if not isinstance(target, _ArrayStub):
+            return super().build(target, state)
+        if not isinstance(state, tuple) or len(state) != 5:
+            raise DataError("malformed array")
+        _, shape, stub, by_columns, raw = state
+        if isinstance(stub, DtypeStub) and isinstance(raw, str):
+            raw = raw.encode("latin1")
+        if not isinstance(raw, bytes):
+            raise DataError("array of objects; expected plain numbers")
+        order = "F" if by_columns is True or by_columns == 1 else "C"
+        shape, dtype = array_layout(shape, stub, order)
+        return self.array(raw, shape, dtype, order)
 
 
 def read_pickle(path: Path, unpickler: type[RestrictedUnpickler], kind: str, max_bytes: int, starts: bytes) -> Any:

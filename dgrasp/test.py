@@ -14,17 +14,23 @@ import torch
 
 from dgrasp.baselines import BASELINES
 from dgrasp.baselines.ik import IkBaseline
+from dgrasp.baselines.static_grasp import StaticGrasp
 from dgrasp.build import build_spec
 from dgrasp.config import Config, load_config
 from dgrasp.data import DataChoice, resolve
 from dgrasp.errors import ConfigError, DataError
-from dgrasp.eval import output
+from dgrasp.eval import failures, output
 from dgrasp.eval.agreement import find_agreement
 from dgrasp.eval.evaluator import evaluate
+from dgrasp.eval.latex import write_latex
 from dgrasp.eval.meshes import build_bodies, build_interpenetration
 from dgrasp.eval.method import Method, PolicyMethod
+from dgrasp.eval.motion import check_method, choose_targets, motion_result, run_motions, usual_set
 from dgrasp.eval.summary import Result, label_row, summarise
+from dgrasp.export.collect import display_meshes, sequences
+from dgrasp.export.sequence import check_folder, write_folder
 from dgrasp.pool import PoolSpec, make_pool
+from dgrasp.report.page import write_report
 from dgrasp.rl import checkpoint
 from dgrasp.rl.progress import format_duration
 from dgrasp.rl.published import load_published_actor
@@ -36,22 +42,29 @@ from raisim_like.engines import ENGINES
 HELP = """\
 Evaluate grasps: the policy (or baseline) grasps, the table is taken away, and the object must not fall
 for the window. Prints a table per object, beside the paper's numbers where hand and labels are the paper's.
+With --motion the wrist then carries the object to target poses, or along a trajectory.
 
 examples:
   python test.py --baseline gt_pd                        hold the labels' poses with PD control
   python test.py --baseline gt_ik                        the same after drawing the contacts to the surface
   python test.py --run runs/dexycb_1 --split test        a policy that was trained here
   python test.py --policy full_6000.pt --window 3.87     a policy that the authors published
-  python test.py --baseline gt_pd --labels MY.npz --json out.json
+  python test.py --baseline gt_pd --labels MY.npz --report out.html   charts, failures, replays in one file
+  python test.py --cfg cfg/motion.yaml --policy full_6000.pt          motion synthesis, as in the paper
+  python test.py --run runs/dexycb_1 --motion MY.csv                  to your own poses, or along your own path
+  python test.py --baseline static_grasp [--policy full_6000.pt]      the fingers only hold while the wrist moves
 """
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The options of `test`."""
-    what = parser.add_mutually_exclusive_group(required=True)
-    what.add_argument("--baseline", choices=sorted(BASELINES), help="a baseline of the paper")
+    parser.add_argument("--baseline", choices=sorted(BASELINES), help="a baseline of the paper; static_grasp takes its "
+                        "grasps from --run or --policy, else from the labels by PD")
+    what = parser.add_mutually_exclusive_group()
     what.add_argument("--run", type=Path, metavar="DIR", help="the last checkpoint of a training run")
     what.add_argument("--policy", type=Path, metavar="FILE.pt", help="a checkpoint: ours, or one of the authors'")
+    parser.add_argument("--motion", metavar="easy|ood|circle|pour|FILE",
+                        help="move the object to targets: the authors', own ones, a path, or a file of poses")
     parser.add_argument("--cfg", type=Path, metavar="FILE", help="experiment (default: the run's, or cfg/dexycb.yaml)")
     parser.add_argument("--data", metavar="free|DIR", help="the free set, or a folder like the authors' release")
     parser.add_argument("--split", choices=("train", "test"), help="which labels (default: train)")
@@ -60,7 +73,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--engine", choices=ENGINES, help="physics engine")
     parser.add_argument("--window", type=float, metavar="SECONDS",
                         help="stability window (default: 5; the authors: 3.87)")
-    parser.add_argument("--json", type=Path, metavar="FILE", help="write JSON, and CSV and markdown beside it")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write JSON, and CSV, markdown, LaTeX beside it")
+    parser.add_argument("--report", type=Path, metavar="FILE", help="write one HTML page: table, charts, replays in 3D")
+    parser.add_argument("--records", type=Path, metavar="DIR", help="store every sequence in a new folder, for `dgrasp "
+                        "export`")
     parser.add_argument("--gif", type=Path, metavar="FILE", help="write a GIF of some of the grasps")
     parser.add_argument("overrides", nargs="*", metavar="key=value", help="config keys, such as seed=3 pool.workers=2")
 
@@ -68,25 +84,39 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def main(arguments: argparse.Namespace) -> int:
     """Run the evaluation that the command line describes; returns the exit code."""
     torch.set_num_threads(1)
-    for file in (arguments.json, arguments.gif):
+    for file in (arguments.json, arguments.report, arguments.gif):
         if file is not None and not file.parent.is_dir():
             raise DataError(f"{file}: the folder {file.parent} does not exist")
+    if arguments.records is not None:
+        check_folder(arguments.records)
+    method = _method(arguments)
     config = _config(arguments)
-    method = _method(arguments, config)
     choice = resolve(config)
+    if isinstance(method, StaticGrasp) and config.motion.targets is None:
+        config = config.model_copy(update={"motion": config.motion.model_copy(update={"targets": usual_set(choice)})})
     print(choice.describe(), flush=True)
-    result, records, spec = evaluate_choice(method, config, choice)
+    evaluation = evaluate_choice if config.motion.targets is None else evaluate_motion
+    result, records, spec = evaluation(method, config, choice)
     output.print_table(result)
     extra: dict[str, Any] = {}
-    if arguments.policy is not None:
+    if arguments.policy is not None and result.motion is None:
         agreement = find_agreement(arguments.policy, choice.labels, [bool(row["success"]) for row in result.per_label])
         if agreement is not None:
             print("\n".join(agreement.lines()))
             extra["raisim"] = agreement.plain()
+    if result.motion is None:
+        extra |= failures.report(result.per_label, result.window_s, config.control_period)
     if arguments.json is not None:
         output.write_json(result, arguments.json, extra)
         output.write_csv(result, arguments.json.with_suffix(".csv"))
         output.write_markdown(result, arguments.json.with_suffix(".md"))
+        write_latex(result, arguments.json.with_suffix(".tex"))
+    if arguments.report is not None or arguments.records is not None:
+        meshes = display_meshes(choice, spec)
+        if arguments.records is not None:
+            write_folder(arguments.records, sequences(result, records, spec, choice, meshes))
+        if arguments.report is not None:
+            write_report(arguments.report, result, records, meshes, extra)
     if arguments.gif is not None:
         write_gif(arguments.gif, records, spec)
     return 0
@@ -121,6 +151,19 @@ def evaluate_choice(
     return result, records, spec
 
 
+def evaluate_motion(
+    method: Method, config: Config, choice: DataChoice
+) -> tuple[Result, list[EpisodeRecord], PoolSpec]:
+    """Let a method carry the chosen labels' objects to the targets of `motion.targets`."""
+    check_method(method)
+    targets = choose_targets(config, choice)
+    spec = build_spec(choice, config)
+    motions = run_motions(spec, method, targets, _Progress())
+    for event in motions.events:
+        print(f"warning: {event}", file=sys.stderr)
+    return motion_result(motions, method, config, choice, targets, spec.labels), motions.records, spec
+
+
 def write_gif(path: Path, records: list[EpisodeRecord], spec: PoolSpec, count: int = 6) -> None:
     """A GIF of some episodes side by side, spread over the labels."""
     chosen = [records[i * len(records) // min(count, len(records))] for i in range(min(count, len(records)))]
@@ -148,15 +191,24 @@ def _config(arguments: argparse.Namespace) -> Config:
         "labels.objects": objects,
         "engine": arguments.engine,
         "eval.window_s": arguments.window,
+        "motion.targets": arguments.motion,
     }
     overrides = [f"{key}={json.dumps(value)}" for key, value in given.items() if value is not None]
     # What is typed last wins, so key=value stands above the options that are short for it.
     return load_config(cfg, overrides + trailing + list(arguments.overrides))
 
 
-def _method(arguments: argparse.Namespace, config: Config) -> Method:
-    if arguments.baseline is not None:
-        return BASELINES[arguments.baseline]()
+def _method(arguments: argparse.Namespace) -> Method:
+    learned = arguments.run is not None or arguments.policy is not None
+    if arguments.baseline == StaticGrasp.name:
+        return StaticGrasp(_policy(arguments) if learned else None)
+    if learned == (arguments.baseline is not None):
+        raise ConfigError("what to test: expected one of --baseline, --run and --policy (--baseline static_grasp may "
+                          "take its grasps from one of the others)")
+    return _policy(arguments) if learned else BASELINES[arguments.baseline]()
+
+
+def _policy(arguments: argparse.Namespace) -> Method:
     path = arguments.policy if arguments.policy is not None else checkpoint.latest(arguments.run)
     if arguments.policy is not None:
         content = checkpoint.read_torch_file(path, "a checkpoint")

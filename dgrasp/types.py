@@ -1,7 +1,8 @@
 """The data that flows through the system. All arrays are float64 unless said otherwise, SI units.
 
 `T_AB` maps points of frame B into frame A. Frames: W world (z up), O object, H wrist, H0 the wrist at the
-start of the episode. Quaternions are w, x, y, z. Angles are intrinsic XYZ Euler angles in radians.
+start of the episode, G the object at its target. Quaternions are w, x, y, z. Angles are intrinsic XYZ Euler
+angles in radians.
 """
 
 from __future__ import annotations
@@ -90,6 +91,7 @@ class SceneState:
     object_mass (N,) kg. table_contact (N,) bool: the object touches the table.
     table_gone (N,): 1 once the table was taken away. holding (N,): 1 while it is gone and the object has not
         dropped. episode_time (N,): share of the episode that has passed.
+    R_WG (N, 3, 3), target_pos_W (N, 3): the target pose of the object, T_g; where it started until a motion begins.
     """
 
     gc: Array
@@ -111,6 +113,8 @@ class SceneState:
     table_gone: Array
     holding: Array
     episode_time: Array
+    R_WG: Array
+    target_pos_W: Array
 
 
 @dataclass

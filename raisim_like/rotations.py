@@ -82,6 +82,23 @@ def quaternion_from_matrix(R: Array) -> Array:
     return np.where(q[..., :1] < 0, -q, q)
 
 
+def rotation_vector(R: Array) -> Array:
+    """Rotation vectors (..., 3), axis times angle in [0, pi] rad, of matrices (..., 3, 3)."""
+    q = quaternion_from_matrix(R)
+    sine = np.linalg.norm(q[..., 1:], axis=-1, keepdims=True)
+    # Towards no rotation at all the factor angle / sine goes to 2.
+    factor = np.where(sine > 1e-12, 2.0 * np.arctan2(sine, q[..., :1]) / np.maximum(sine, 1e-12), 2.0)
+    return np.asarray(factor * q[..., 1:])
+
+
+def matrix_from_rotation_vector(vector: Array) -> Array:
+    """Matrices (..., 3, 3) of rotation vectors (..., 3) rad."""
+    angle = np.linalg.norm(vector, axis=-1, keepdims=True)
+    # np.sinc(x) is sin(pi x) / (pi x), also at 0.
+    half = 0.5 * np.sinc(angle / (2.0 * np.pi)) * vector
+    return matrix_from_quaternion(np.concatenate([np.cos(0.5 * angle), half], axis=-1))
+
+
 def rotate(R: Array, v: Array) -> Array:
     """R v for matrices (..., 3, 3) and vectors (..., 3)."""
     return np.matmul(R, v[..., None])[..., 0]

@@ -10,6 +10,7 @@ import numpy as np
 
 from dgrasp.config import Config
 from dgrasp.control.controllers import GRASP_CONTROLLERS, Controller, LabelPose, WristHold
+from dgrasp.control.motion import Fingers, MotionSynthesis
 from dgrasp.env.features import FeatureLayer, relations
 from dgrasp.env.goal import make_goal
 from dgrasp.env.rewards import Reward
@@ -29,6 +30,8 @@ label: hand and object in the label's pose, no table (the baselines' start)."""
 
 MAX_SPEED, MAX_SPIN = 50.0, 1000.0
 """m/s and rad/s of the object, beyond which the simulation has exploded."""
+GOLDEN = 0.6180339887498949
+"""Steps of this share of a circle visit all of it evenly."""
 
 
 @dataclass
@@ -101,8 +104,12 @@ class GraspEnv:
         """Environments that take part in this epoch (`labels.per_epoch`)."""
         self._removal = np.zeros(n, int)
         self._drop_height = np.zeros(n)
+        self._path: Array | None = None
+        self._path_step = 0
         self.clock = np.zeros(n, int)
-        self._retired_seconds = 0.0
+        self.steps_made = np.zeros(n, int)
+        """Control steps of each environment since it was made."""
+        self._retired_seconds = np.zeros(n)
 
     def _new_scene(self, i: int) -> Scene:
         model = self.objects[self.labels[i].object_id]
@@ -116,7 +123,12 @@ class GraspEnv:
     @property
     def step_seconds(self) -> float:
         """Wall seconds spent inside the engine's step so far."""
-        return self._retired_seconds + sum(scene.world.engine_world.step_seconds for scene in self.scenes)
+        return float(self.seconds_per_env.sum())
+
+    @property
+    def seconds_per_env(self) -> Array:
+        """(N,) the same for each environment."""
+        return self._retired_seconds + [scene.world.engine_world.step_seconds for scene in self.scenes]
 
     # Reset -------------------------------------------------------------------------------------
 
@@ -132,23 +144,31 @@ class GraspEnv:
             self._place(i)
         self.alive[:] = True
         self.active[:] = self._drawn(epoch)
+        self._path = None
         self._derive(slice(None))
+        # What the PD target is before the first action: a hand that is to hold its fingers may begin with it.
+        self.control.bias(self.s, self.goal, self._target)
         self._observe(self.o.observation)
         self.o.terminated[:], self.o.truncated[:] = False, False
         return self.o.observation
 
     def _drawn(self, epoch: int) -> Array:
-        """(N,) bool: which environments take part in an epoch; the same draw in every process."""
+        """(N,) bool: which environments take part in an epoch; the same draw in every process.
+
+        Every k-th label of the whole set from a start that walks through all: labels of an object stand side by
+        side, so that each epoch has its share of every object, and all labels take part equally often.
+        """
         count = self.config.labels.per_epoch
         if self.mode != "train" or count is None or count >= self.total:
             return np.ones(self.num_envs, bool)
         # The spawn key keeps it apart from the environments' own streams.
-        sequence = np.random.SeedSequence([self.config.seed, epoch], spawn_key=(3,))
-        return np.isin(self.indices, np.random.default_rng(sequence).permutation(self.total)[:count])
+        first = np.random.default_rng(np.random.SeedSequence([self.config.seed], spawn_key=(3,))).random()
+        start = (first + epoch * GOLDEN) % 1.0
+        return np.isin(self.indices, ((np.arange(count) + start) * (self.total / count)).astype(int))
 
     def _rebuild(self, i: int) -> None:
         """A world that exploded keeps its NaNs; only a new one is clean."""
-        self._retired_seconds += self.scenes[i].world.engine_world.step_seconds
+        self._retired_seconds[i] += self.scenes[i].world.engine_world.step_seconds
         self.scenes[i].close()
         self.scenes[i] = self._new_scene(i)
 
@@ -167,7 +187,8 @@ class GraspEnv:
         )
         s = self.s
         s.R_WH0[i], s.wrist_start_W[i] = start.T_WH[:3, :3], start.T_WH[:3, 3]
-        s.object_start_W[i] = start.T_WO[:3, 3]
+        s.object_start_W[i] = s.target_pos_W[i] = start.T_WO[:3, 3]
+        s.R_WG[i] = start.T_WO[:3, :3]
         s.table_height_W[i] = TABLE_TOP
         s.table_contact[i] = 0.0
         s.table_gone[i], s.holding[i], s.episode_time[i] = 0.0, 0.0, 0.0
@@ -194,6 +215,7 @@ class GraspEnv:
         training_hold = self.mode == "train" and self.config.env.hold.first_step is not None
         if training_hold:
             self._begin_holds()
+        self._aim()
         self.control.bias(self.s, self.goal, self._target)
         if training_hold:
             held = self.s.table_gone > 0
@@ -205,6 +227,7 @@ class GraspEnv:
         np.clip(self._target, self._limits[0], self._limits[1], out=self._target)
         self._advance()
         self.clock += self.alive & self.active
+        self.steps_made += self.alive & self.active
         broken = self._broken()
         if broken.any():
             self._bury(np.flatnonzero(broken))
@@ -253,6 +276,29 @@ class GraspEnv:
         self.s.table_gone[:] = 1.0
         for i in range(self.num_envs):
             self._release(i, self.control)
+
+    def begin_motion(self, path: Array, fingers: Fingers = "policy") -> None:
+        """Motion synthesis begins: the wrist carries the objects along targets T_WG (N, P, 4, 4).
+
+        Target k is that of control step k from now, the last one stays. The table stays as it is. fingers: "policy"
+        moves them; "target" keeps their PD targets, "pose" makes where they are their targets.
+        """
+        self._path, self._path_step = path, 0
+        self.s.R_WG[:], self.s.target_pos_W[:] = path[:, 0, :3, :3], path[:, 0, :3, 3]
+        held = None
+        if fingers != "policy":
+            held = np.clip(self._target if fingers == "target" else self.s.gc, *self._limits)[:, 6:]
+        env = self.config.env
+        self.control = MotionSynthesis(env.action, self.config.motion, self.num_envs, held)
+        for scene in self.scenes:
+            scene.set_gains(env.action, self.control.kp_position, scene.object_model.mass)
+
+    def _aim(self) -> None:
+        """Put the target of the next control step into the state."""
+        if self._path is not None:
+            T_WG = self._path[:, min(self._path_step, self._path.shape[1] - 1)]
+            self.s.R_WG[:], self.s.target_pos_W[:] = T_WG[:, :3, :3], T_WG[:, :3, 3]
+            self._path_step += 1
 
     def _advance(self) -> None:
         """The physics of one control step, for the worlds that have not exploded."""

@@ -27,6 +27,8 @@ _SHAPES: dict[str, tuple[int, ...]] = {
     "table_gone": (),
     "holding": (),
     "episode_time": (),
+    "R_WG": (3, 3),
+    "target_pos_W": (3,),
 }
 
 STATE_SIZE = sum(int(np.prod(shape)) for shape in _SHAPES.values())

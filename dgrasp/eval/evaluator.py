@@ -19,7 +19,7 @@ Progress = Callable[[int, int], None]
 UNSTABLE = "unstable simulation"
 
 
-class _Recorder:
+class Recorder:
     """Arrays [T, N, ...] of an evaluation; `records` cuts them into episodes."""
 
     def __init__(self, pool: Pool, steps: int) -> None:
@@ -28,6 +28,7 @@ class _Recorder:
         self.gc = np.zeros((steps, n, 51))
         self.T_WH = np.zeros((steps, n, 4, 4))
         self.T_WO = np.zeros((steps, n, 4, 4))
+        self.T_WG = np.zeros((steps, n, 4, 4))
         self.joints_W = np.zeros((steps, n, 21, 3))
         self.contacts = np.zeros((steps, n, 16))
         self.contact_impulse = np.zeros((steps, n, 16))
@@ -40,13 +41,15 @@ class _Recorder:
         self.gc[t], self.joints_W[t] = s.gc, s.joints_W
         self.T_WH[t] = transform(s.R_WH, s.joints_W[:, 0])
         self.T_WO[t] = transform(s.R_WO, s.object_pos_W)
+        self.T_WG[t] = transform(s.R_WG, s.target_pos_W)
         self.contacts[t], self.contact_impulse[t] = s.contacts, s.contact_impulse
         self.table_contact[t], self.reward[t] = s.table_contact > 0, reward
         # The step that broke an episode shows a restarted world, not what happened: it is left out.
         self.length = np.where(terminated & (self.length == self.steps), t, self.length)
         self.t += 1
 
-    def records(self, window_start: int, dt: float) -> list[EpisodeRecord]:
+    def records(self, window_start: int, dt: float, with_target: bool = False) -> list[EpisodeRecord]:
+        """One record per label; with_target: of episodes that move the object, with where it should have been."""
         made = []
         for i, label in enumerate(self.pool.labels):
             cut = slice(0, int(self.length[i]))
@@ -64,6 +67,7 @@ class _Recorder:
                     window_start=window_start,
                     dt=dt,
                     terminated="" if self.length[i] == self.steps else UNSTABLE,
+                    target_T_WO=self.T_WG[cut, i] if with_target else None,
                 )
             )
         return made
@@ -72,21 +76,41 @@ class _Recorder:
 ATTEMPTS = 3
 """How often an evaluation starts over when a worker is lost on the way."""
 
+Cost = dict[str, float]
+"""control_steps, wall_s, physics_share."""
+
 
 def evaluate(
     pool: Pool, method: Method, config: Config, window_s: float, progress: Progress | None = None
-) -> tuple[list[EpisodeRecord], dict[str, float]]:
+) -> tuple[list[EpisodeRecord], Cost]:
     """Records of one deterministic episode per label, and the cost (control_steps, wall_s, physics_share).
 
     A policy grasps for `env.grasp_steps`, then the table goes and the window of `window_s` seconds begins
     (supplement B.3). A baseline that starts in the label's pose begins with the window.
     """
-    started = time.perf_counter()
-    grasp = 0 if method.mode == "label" else config.env.grasp_steps
+    grasp = grasp_steps(method, config)
     steps = grasp + max(1, round(window_s / config.control_period))
+    # Where an episode starts without a table there is none to take away.
+    begin = pool.remove_table if grasp else None
+    recorder, cost = run_episodes(pool, method, steps, grasp, begin, progress)
+    return recorder.records(grasp, config.control_period), cost
+
+
+def grasp_steps(method: Method, config: Config) -> int:
+    """Control steps until the test begins: none for a method that starts in the label's pose."""
+    return 0 if method.mode == "label" else config.env.grasp_steps
+
+
+def run_episodes(
+    pool: Pool, method: Method, steps: int, grasp: int, begin: Callable[[], None] | None,
+    progress: Progress | None = None,
+) -> tuple[Recorder, Cost]:
+    """One deterministic episode per label, with `begin` called after `grasp` control steps; starts over where a worker
+    is lost."""
+    started = time.perf_counter()
     for attempt in range(1, ATTEMPTS + 1):
         try:
-            recorder = _run(pool, method, steps, grasp, progress)
+            recorder = _run(pool, method, steps, grasp, begin, progress)
             break
         except WorkerLost:
             if attempt == ATTEMPTS:
@@ -96,15 +120,17 @@ def evaluate(
         "wall_s": time.perf_counter() - started,
         "physics_share": pool.timing()["physics_share"],
     }
-    return recorder.records(grasp, config.control_period), cost
+    return recorder, cost
 
 
-def _run(pool: Pool, method: Method, steps: int, grasp: int, progress: Progress | None) -> _Recorder:
-    recorder = _Recorder(pool, steps)
+def _run(
+    pool: Pool, method: Method, steps: int, grasp: int, begin: Callable[[], None] | None, progress: Progress | None
+) -> Recorder:
+    recorder = Recorder(pool, steps)
     observation = pool.reset(0, method.mode)
     for t in range(steps):
-        if grasp and t == grasp:
-            pool.remove_table()
+        if begin is not None and t == grasp:
+            begin()
         result = pool.step(method.act(observation))
         observation = result.observation
         recorder.write(result.reward, result.terminated)

@@ -45,7 +45,7 @@ def success(record: EpisodeRecord, window_s: float) -> bool:
     stop = record.window_start + window_steps(record, window_s)
     if record.terminated:
         return False
-    return not _fallen(record)[record.window_start : stop].any()
+    return not fallen(record)[record.window_start : stop].any()
 
 
 def sim_dist_mm_per_step(record: EpisodeRecord, window_s: float) -> float | None:
@@ -135,7 +135,7 @@ def _last(errors: Array) -> float | None:
     return float(finite[-1]) if finite.size else None
 
 
-def _fallen(record: EpisodeRecord) -> Array:
+def fallen(record: EpisodeRecord) -> Array:
     """(T,) bool: the object touches the table or is at `FALLEN_HEIGHT` or below."""
     # Written so that a NaN height counts as fallen.
     return np.asarray(record.table_contact, dtype=bool) | ~(record.T_WO[:, 2, 3] > FALLEN_HEIGHT)
@@ -145,9 +145,9 @@ def _mean_step_mm(record: EpisodeRecord, window_s: float, position: Array) -> fl
     # The first difference needs the state before the window; a record that begins with the window lacks it.
     start = max(record.window_start, 1)
     stop = record.window_start + window_steps(record, window_s)
-    fallen = np.flatnonzero(_fallen(record)[start:stop])
-    if fallen.size:
-        stop = start + int(fallen[0]) + 1
+    landed = np.flatnonzero(fallen(record)[start:stop])
+    if landed.size:
+        stop = start + int(landed[0]) + 1
     if stop <= start:
         return None
     steps = np.linalg.norm(np.diff(position[start - 1 : stop], axis=0), axis=1)

@@ -30,6 +30,9 @@ _TITLES = {
     "interpenetration_shell_cm3": ("interpen. by shell cm3", "{:.2f}"),
     "mpe_m": ("MPE m", "{:.3f}"),
     "geodesic_rad": ("geodesic rad", "{:.2f}"),
+    "path_mpe_m": ("MPE on the way m", "{:.3f}"),
+    "path_geodesic_rad": ("geodesic on the way rad", "{:.2f}"),
+    "carried": ("carried", "{:.2f}"),
 }
 
 _WITH_INTERVAL = ("success", "sim_dist_mm_per_step", "interpenetration_cm3", "mpe_m", "geodesic_rad")
@@ -57,7 +60,10 @@ def print_table(result: Result, console: Console | None = None) -> None:
 
 
 def title(result: Result) -> str:
-    """One line: method, engine, window, number of labels."""
+    """One line: method, engine, window or motion, number of labels."""
+    if result.motion is not None:
+        return (f"{result.method}, {result.engine}, motion to {result.motion['targets']} targets in "
+                f"{result.motion['steps']} steps, {len(result.per_label)} motions of {result.n_labels} labels")
     return f"{result.method}, {result.engine}, window {result.window_s:g} s, {result.n_labels} labels"
 
 
@@ -77,6 +83,9 @@ def remarks(result: Result) -> list[str]:
     if spans:
         lines.append(f"95% intervals of the means over objects (bootstrap over their labels): {spans}")
     lines += _about_interpenetration(result)
+    if result.motion is not None and result.motion.get("left_out"):
+        lines.append(f"{len(result.motion['left_out'])} of {result.motion['n_grasps']} grasps did not pass the stability "
+                     f"test of {result.window_s:g} s and were left out, as in the paper")
     used = [f"{key} {result.data[key]}" for key in ("hand", "labels", "licence") if key in result.data]
     return [*lines, "; ".join([*used, f"seed {result.seed}", f"code {result.commit}"])]
 
@@ -113,7 +122,7 @@ def table_cells(result: Result, skip: Collection[str] = ()) -> tuple[list[str], 
         header += [_name(metric)] + (["paper"] if metric in paper else [])
     entries = list(result.per_object.items())
     entries.append(("mean over objects", {"n": len(result.per_object), **result.mean_over_objects}))
-    entries.append(("mean over labels", {"n": result.n_labels, **result.mean_over_labels}))
+    entries.append(("mean over labels", {"n": len(result.per_label), **result.mean_over_labels}))
     rows = []
     for name, means in entries:
         row = [name, f"{means['n']:g}"]

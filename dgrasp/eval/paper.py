@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -40,6 +41,24 @@ def paper_column(labels_source: str, split: str, method: str) -> Column | None:
         name: _metrics(methods[_COLUMNS[method]]) for name, methods in table.items() if _COLUMNS[method] in methods
     }
     return column or None
+
+
+MOTION_OBJECTS = ("002_master_chef_can", "004_sugar_box", "007_tuna_fish_can", "019_pitcher_base",
+                  "052_extra_large_clamp", "061_foam_brick")
+"""The paper's objects of motion synthesis (supplement, "Experimental Details")."""
+_MOTION = {"policy": "ours", "static_grasp": "static_grasp"}
+
+
+def motion_column(method: str, objects: Collection[str], targets: str) -> Column | None:
+    """One row of the motion table, as metric -> {"average": value}; the paper has no numbers per object.
+
+    method: "policy" or "static_grasp". Metrics: mpe_m, geodesic_rad. None for other methods, for objects other than the
+    paper's six, and for targets other than "easy", the authors'.
+    """
+    if method not in _MOTION or set(objects) != set(MOTION_OBJECTS) or targets != "easy":
+        return None
+    entry = paper_tables()["motion"][_MOTION[method]]
+    return {"mpe_m": {"average": float(entry["mpe"])}, "geodesic_rad": {"average": float(entry["geodesic_rad"])}}
 
 
 def _metrics(entry: dict[str, Any]) -> dict[str, float]:

@@ -11,15 +11,18 @@ import numpy as np
 
 from dgrasp import __version__
 from dgrasp.errors import DataError
-from dgrasp.eval import metrics
+from dgrasp.eval import failures, metrics
 from dgrasp.eval.intervals import intervals
-from dgrasp.eval.paper import Column, paper_column
+from dgrasp.eval.paper import Column, motion_column, paper_column
 from dgrasp.paths import is_checkout, shipped_root
 from dgrasp.types import EpisodeRecord
 
 SCHEMA = 1
 MIN_OBJECTS = 3
 """Below this number of objects a correlation with the paper says nothing and is not given."""
+
+NO_METRICS = ("index", "lost_s", "target")
+"""Numbers of a row that are not averaged: `lost_s` is there only where the object was lost."""
 
 Row = dict[str, Any]
 Means = dict[str, float]
@@ -38,7 +41,8 @@ class Result:
     no number for this method, labels and hand. correlation_with_paper: metric -> Pearson's r of the
     per-object means and the paper's; None where it is not defined. cost: control_steps, wall_s, physics_share.
     intervals: of the means (see `dgrasp.eval.intervals`). interpenetration: what that metric was measured on
-    (`Interpenetration.report`); absent from the JSON where it was not measured.
+    (`Interpenetration.report`); absent from the JSON where it was not measured. motion: of an experiment that moves
+    objects, what to and how (`dgrasp.eval.motion`), else absent; a row of `per_label` is then one label and target.
     """
 
     schema: int
@@ -58,17 +62,20 @@ class Result:
     cost: dict[str, float]
     intervals: dict[str, Any]
     interpenetration: dict[str, Any] | None = None
+    motion: dict[str, Any] | None = None
 
     def as_dict(self) -> dict[str, Any]:
         """Plain values in the order of the fields."""
         values = {field.name: getattr(self, field.name) for field in fields(self)}
-        if self.interpenetration is None:
-            del values["interpenetration"]
-        return values
+        return {name: value for name, value in values.items()
+                if value is not None or name not in ("interpenetration", "motion")}
 
 
 def label_row(record: EpisodeRecord, window_s: float) -> Row:
-    """The metrics of one episode as a row; further metrics may be added to it under names of their own."""
+    """The metrics of one episode as a row; further metrics may be added to it under names of their own.
+
+    A lost object has `failure`, its class, and `lost_s`, when (`failures.outcome`).
+    """
     row: Row = {"object": record.label.object_id, "index": record.label.index}
     row["success"] = metrics.success(record, window_s)
     measured = {
@@ -80,6 +87,9 @@ def label_row(record: EpisodeRecord, window_s: float) -> Row:
     if record.target_T_WO is not None:
         measured["mpe_m"], measured["geodesic_rad"] = metrics.mpe_m(record), metrics.geodesic_rad(record)
     row.update({name: value for name, value in measured.items() if value is not None})
+    end = failures.outcome(record, window_s)
+    if end.lost_s is not None:
+        row["failure"], row["lost_s"] = end.kind, end.lost_s
     if record.terminated:
         row["terminated"] = record.terminated
     return row
@@ -88,11 +98,12 @@ def label_row(record: EpisodeRecord, window_s: float) -> Row:
 def summarise(
     episodes: Sequence[EpisodeRecord | Mapping[str, Any]], *, method: str, engine: str, window_s: float, seed: int,
     data: Mapping[str, Any], cost: Mapping[str, float], interpenetration: Mapping[str, Any] | None = None,
+    motion: Mapping[str, Any] | None = None,
 ) -> Result:
     """The result of evaluated episodes, given as records or as rows like those of `label_row`, in file order.
 
     data: `DataChoice.stamp()`; its comparable_with_paper, source and split choose the paper's column. Every
-    number in a row but `index` is a metric and is averaged over the labels that have it. Raises `DataError` for
+    number in a row but `NO_METRICS` is a metric and is averaged over the labels that have it. Raises `DataError` for
     no episodes and for a metric that is NaN or infinite.
     """
     rows = [label_row(e, window_s) if isinstance(e, EpisodeRecord) else _checked(e) for e in episodes]
@@ -102,13 +113,17 @@ def summarise(
     for row in rows:
         groups.setdefault(row["object"], []).append(row)
     object_means = {name: _means(group) for name, group in groups.items()}
-    column = None
+    paper = None
     if data.get("comparable_with_paper"):
-        column = paper_column(str(data.get("source")), str(data.get("split")), method)
-    paper = _beside(column, object_means) if column else None
+        labels = str(data.get("source")), str(data.get("split"))
+        if motion is None:
+            column = paper_column(*labels, method)
+            paper = _beside(column, object_means) if column else None
+        elif labels == ("dexycb", "train"):
+            paper = motion_column(method, object_means, str(motion["targets"]))
     return Result(
         schema=SCHEMA, method=method, engine=engine, window_s=float(window_s), seed=seed, commit=code_version(),
-        data=dict(data), n_labels=len(rows),
+        data=dict(data), n_labels=len({(row["object"], row["index"]) for row in rows}),
         mean_over_objects=_means(list(object_means.values())), mean_over_labels=_means(rows),
         per_object={name: {"n": len(groups[name]), **means} for name, means in object_means.items()},
         per_label=rows, paper=paper,
@@ -116,6 +131,7 @@ def summarise(
         cost=dict(cost),
         intervals=intervals(_by_metric(groups), np.random.default_rng(seed)),
         interpenetration=None if interpenetration is None else dict(interpenetration),
+        motion=None if motion is None else dict(motion),
     )
 
 
@@ -132,7 +148,7 @@ def code_version() -> str:
 
 
 def _is_metric(name: str, value: Any) -> bool:
-    return name != "index" and isinstance(value, (bool, int, float, np.bool_, np.number))
+    return name not in NO_METRICS and isinstance(value, (bool, int, float, np.bool_, np.number))
 
 
 def _checked(row: Mapping[str, Any]) -> Row:

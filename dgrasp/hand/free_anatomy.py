@@ -170,7 +170,7 @@ def finger_direction(finger: str) -> Array:
     return np.array([-math.cos(spread), 0.0, math.sin(spread)])
 
 
-def _anatomical_axes(finger: str, segment: int, bone: Array) -> Array:
+def anatomical_axes(finger: str, segment: int, bone: Array) -> Array:
     """(3, 3) rows: the axes of twist, of motion to the side and of flexion at the zero pose, wrist frame."""
     to_palm = np.cross(bone, [0.0, -1.0, 0.0])
     to_palm /= np.linalg.norm(to_palm)
@@ -192,7 +192,7 @@ def anatomical_limits(finger: str, segment: int, bone: Array) -> Array:
     """
     ranges = (THUMB_RANGES if finger == "thumb" else FINGER_RANGES)[segment]
     widened = np.radians([(low - SLACK_DEG, high + SLACK_DEG) for low, high in ranges])
-    shares = _anatomical_axes(finger, segment, bone)[:, :, None] * widened[:, None, :]
+    shares = anatomical_axes(finger, segment, bone)[:, :, None] * widened[:, None, :]
     return np.stack([shares.min(axis=2).sum(axis=0), shares.max(axis=2).sum(axis=0)], axis=1)
 
 

@@ -17,14 +17,8 @@ import numpy as np
 from dgrasp.errors import DataError
 from dgrasp.hand.mano_model import EXTENT, MANO_PARENTS, ManoModel, finger_side, tip_vertices
 from dgrasp.pickles import (
-    NUMPY_GLOBALS,
-    PLAIN_OPCODES,
-    DtypeStub,
+    ArrayUnpickler,
     Globals,
-    NdarrayMarker,
-    RestrictedUnpickler,
-    array_layout,
-    opcodes,
     read_pickle,
 )
 from dgrasp.types import Array
@@ -33,10 +27,6 @@ MAX_FILE_BYTES = 16 * 2**20
 """Largest file that is read (MANO's have 4 MB)."""
 MAX_VERTICES, MAX_SHAPES = 10_000, 400
 _GIVE = "give MANO_RIGHT.pkl or MANO_LEFT.pkl"
-
-
-class _ArrayStub:
-    """What `_reconstruct` leaves; BUILD replaces it by the array."""
 
 
 class _Chumpy:
@@ -60,20 +50,12 @@ class _SparseRows(_Sparse):
     by_columns = False
 
 
-def _reconstruct(kind: Any, shape: Any, code: Any) -> _ArrayStub:
-    if kind is not NdarrayMarker:
-        raise DataError("malformed array")
-    return _ArrayStub()
-
-
 def _set(items: Any = ()) -> None:
     """chumpy's states hold sets of names; nothing of them is needed."""
 
 
 _ALLOWED: Globals = {
-    **NUMPY_GLOBALS,
-    ("numpy.core.multiarray", "_reconstruct"): _reconstruct,
-    ("numpy._core.multiarray", "_reconstruct"): _reconstruct,
+    **ArrayUnpickler.allowed,
     ("chumpy.ch", "Ch"): _Chumpy,
     ("chumpy.reordering", "Select"): _Select,
     ("scipy.sparse.csc", "csc_matrix"): _Sparse,
@@ -85,12 +67,10 @@ _ALLOWED: Globals = {
 }
 
 
-class _ManoUnpickler(RestrictedUnpickler):
+class _ManoUnpickler(ArrayUnpickler):
     """Builds arrays of numpy and keeps the states of chumpy and scipy objects."""
 
     allowed: ClassVar[Globals] = _ALLOWED
-    # Texts and array bytes of Python 2 are its 8-bit strings.
-    handlers = opcodes((*PLAIN_OPCODES, "SHORT_BINSTRING", "BINSTRING"))
 
     def build(self, target: Any, state: Any) -> Any:
         if isinstance(target, (_Chumpy, _Sparse)):
@@ -98,18 +78,7 @@ class _ManoUnpickler(RestrictedUnpickler):
                 raise DataError("malformed chumpy expression or sparse matrix")
             target.state = state
             return target
-        if not isinstance(target, _ArrayStub):
-            return super().build(target, state)
-        if not isinstance(state, tuple) or len(state) != 5:
-            raise DataError("malformed array")
-        _, shape, stub, by_columns, raw = state
-        if isinstance(stub, DtypeStub) and isinstance(raw, str):
-            raw = raw.encode("latin1")
-        if not isinstance(raw, bytes):
-            raise DataError("array of objects; expected plain numbers")
-        order = "F" if by_columns is True or by_columns == 1 else "C"
-        shape, dtype = array_layout(shape, stub, order)
-        return self.array(raw, shape, dtype, order)
+        return super().build(target, state)
 
 
 def read_mano(path: Path) -> ManoModel:
@@ -119,7 +88,11 @@ def read_mano(path: Path) -> ManoModel:
     frame or order of fingers than MANO's.
     """
     path = Path(path)
-    content = read_pickle(path, _ManoUnpickler, "MANO file", MAX_FILE_BYTES, starts=b"\x80")
+    return model_of(read_pickle(path, _ManoUnpickler, "MANO file", MAX_FILE_BYTES, starts=b"\x80"), path)
+
+
+def model_of(content: Any, path: Path) -> ManoModel:
+    """The hand model of a dictionary with MANO's entries, checked as `read_mano` does; path: where it comes from."""
     try:
         return _model(content)
     except DataError as error:

@@ -27,7 +27,7 @@ MIRROR = np.array([-1.0, 1.0, 1.0])
 MIRROR_ANGLES = np.array([1.0, -1.0, -1.0])
 """The same for rotations: the factors of rotation vectors and of Euler angles about x, y, z."""
 
-_TIPS: dict[Side, tuple[int, ...]] = {"right": (317, 444, 556, 673, 745), "left": (317, 445, 556, 673, 745)}
+MANO_TIPS: dict[Side, tuple[int, ...]] = {"right": (317, 444, 556, 673, 745), "left": (317, 445, 556, 673, 745)}
 """Vertices of MANO's own mesh that DexYCB and others take for the fingertips, order of `skeleton.FINGERS`."""
 
 
@@ -118,7 +118,7 @@ def tip_vertices(template: Array, joints: Array, weights: Array, side: Side) -> 
     """
     owner = weights.argmax(axis=1)
     distal = [PART_TO_MANO[3 + 3 * finger] for finger in range(len(FINGERS))]
-    known = np.array(_TIPS[side])
+    known = np.array(MANO_TIPS[side])
     if len(template) == 778 and (owner[known] == distal).all():
         return known
     tips = []

@@ -11,6 +11,8 @@ import numpy as np
 from dgrasp.errors import DataError
 from dgrasp.geometry.intersection import Body, body
 from dgrasp.geometry.shape_mesh import shape_mesh
+from dgrasp.hand.free_hand import HAND_NAME
+from dgrasp.hand.free_skin import SKIN_FILE, free_skin
 from dgrasp.hand.mano import read_mano
 from dgrasp.hand.mano_model import ManoModel, mirror_mano
 from dgrasp.hand.model import HandModel
@@ -44,6 +46,10 @@ class RigidSurface:
     def __init__(self, kind: str, hand: HandModel, parts: list[int], pieces: list[Body]) -> None:
         self.kind, self._hand, self._parts, self._pieces = kind, hand, parts, pieces
 
+    def local(self, part: int) -> list[Body]:
+        """The bodies that move with a part, in its frame."""
+        return [piece for p, piece in zip(self._parts, self._pieces, strict=True) if p == part]
+
     def pieces(self, T_AH: Array, hand_pose: Array) -> list[Body]:
         R, t = part_poses(self._hand, T_AH[None], hand_pose[None])
         return [piece.placed(transform(R[0, part], t[0, part]))
@@ -51,7 +57,7 @@ class RigidSurface:
 
 
 class SkinnedSurface:
-    """MANO's skin, cut into 16 closed pieces, so that a hand that touches itself is not counted twice."""
+    """A skinned model, cut into 16 closed pieces, so that a hand that touches itself is not counted twice."""
 
     kind = SKIN
 
@@ -69,13 +75,19 @@ class SkinnedSurface:
 
 
 def hand_surface(hand: HandModel, mano: Path | None, meta: dict[str, Any]) -> HandSurface:
-    """The best surface that there is: skinned if `mano` names MANO's file, else part meshes, else collision shapes.
+    """The best surface that there is: skinned if `mano` names MANO's file or the hand is the free one, else part meshes,
+    else collision shapes.
 
     meta: what is known of how the hand was made (`store.NamedHand.meta`), for its side and shape; empty for the mean
     shape of a right hand. Raises `DataError` where the file is no MANO hand, or another hand than this one.
     """
     if mano is not None:
         return _skinned(hand, mano, meta)
+    return _free_skinned(hand, meta) or rigid_surface(hand)
+
+
+def rigid_surface(hand: HandModel) -> RigidSurface:
+    """The part meshes, else the collision shapes; a `DataError` where the hand has neither."""
     meshes = _part_meshes(hand)
     if meshes is not None:
         return RigidSurface(PART_MESHES, hand, list(range(N_PARTS)), meshes)
@@ -90,18 +102,47 @@ def hand_surface(hand: HandModel, mano: Path | None, meta: dict[str, Any]) -> Ha
 
 
 def _skinned(hand: HandModel, file: Path, meta: dict[str, Any]) -> SkinnedSurface:
-    model = read_mano(file)
+    try:
+        model, betas, _ = mano_of_hand(file, hand.offsets, hand.id, meta)
+    except DataError as error:
+        raise DataError(f"eval.mano: {error}; leave eval.mano out to measure on the hand's own shapes") from None
+    return SkinnedSurface(model, betas)
+
+
+def _free_skinned(hand: HandModel, meta: dict[str, Any]) -> SkinnedSurface | None:
+    """The free hand's skin, for it and for hands that were built of it; None for another hand."""
+    if hand.id != HAND_NAME and meta.get("model_file") != SKIN_FILE:
+        return None
+    model, betas, joints = _shaped(free_skin(), meta)
+    return SkinnedSurface(model, betas) if _apart(joints, hand.offsets) <= SAME_JOINTS else None
+
+
+def mano_of_hand(file: Path, offsets: Array, hand_id: str, meta: dict[str, Any]) -> tuple[ManoModel, Array, Array]:
+    """MANO's model of a hand, of its side, with its betas (S',) and joints (16, 3) m, order of `skeleton.PARTS`.
+
+    offsets (16, 3): the hand's own, m. meta: side and betas, as in `hand_surface`. Raises `DataError` where the file is
+    no MANO hand, or another hand than this one.
+    """
+    model, betas, joints = _shaped(read_mano(file), meta)
+    off = _apart(joints, offsets)
+    if off > SAME_JOINTS:
+        raise DataError(f"the joints of {file} lie up to {1000 * off:.1f} mm from those of the hand {hand_id!r}; "
+                        "expected the model that the hand was made from")
+    return model, betas, joints
+
+
+def _shaped(model: ManoModel, meta: dict[str, Any]) -> tuple[ManoModel, Array, Array]:
+    """The model of the hand's side, with the hand's betas (S',) and joints (16, 3) m."""
     if meta.get("side", "right") != model.side:
         model = mirror_mano(model)
     betas = np.array(meta.get("betas", []), dtype=float)
-    _, joints = model.shaped(betas)
-    offsets = np.array([joints[i] - joints[PART_PARENT[i]] for i in range(1, N_PARTS)])
-    off = float(np.linalg.norm(offsets - hand.offsets[1:], axis=1).max())
-    if off > SAME_JOINTS:
-        raise DataError(f"eval.mano: the joints of {file} lie up to {1000 * off:.1f} mm from those of the hand "
-                        f"{hand.id!r}; expected the model that the hand was made from; leave eval.mano out to measure "
-                        "on the hand's own shapes")
-    return SkinnedSurface(model, betas)
+    return model, betas, model.shaped(betas)[1]
+
+
+def _apart(joints: Array, offsets: Array) -> float:
+    """m: how far joints (16, 3) are at most from where a hand with these offsets (16, 3) has them."""
+    own = np.array([joints[i] - joints[PART_PARENT[i]] for i in range(1, N_PARTS)])
+    return float(np.linalg.norm(own - offsets[1:], axis=1).max())
 
 
 def _part_meshes(hand: HandModel) -> list[Body] | None:

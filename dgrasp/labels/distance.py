@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 
@@ -122,7 +123,15 @@ def _spheres(shape: Shape) -> tuple[Array, float]:
     return grid[on_face], 0.0
 
 
-def part_poses(hand: HandModel, T_WH: Array, hand_pose: Array) -> tuple[Array, Array]:
+class Chain(Protocol):
+    """What the parts' poses need of a hand."""
+
+    @property
+    def offsets(self) -> Array:
+        """(16, 3) m: origin of each part in its parent part's frame."""
+
+
+def part_poses(hand: Chain, T_WH: Array, hand_pose: Array) -> tuple[Array, Array]:
     """World rotations (N, 16, 3, 3) and origins (N, 16, 3) of the parts, for T_WH (N, 4, 4), hand_pose (N, 45)."""
     n = len(T_WH)
     turn = matrix_from_euler(hand_pose.reshape(n, N_PARTS - 1, 3))

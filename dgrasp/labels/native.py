@@ -11,9 +11,7 @@ from __future__ import annotations
 
 import io
 import json
-import math
 import re
-import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +20,7 @@ import numpy as np
 from dgrasp.atomic import write_atomic
 from dgrasp.errors import DataError
 from dgrasp.labels import checks
+from dgrasp.labels.npz_reader import open_npz
 from dgrasp.types import Array, GraspLabel, StartPose
 
 FORMAT = "dgrasp-labels"
@@ -115,56 +114,18 @@ def read_native_with_meta(path: Path) -> tuple[list[GraspLabel], dict[str, Any]]
 def _unpack(path: Path) -> Arrays:
     """All members as arrays; sizes are known to be small and true before anything is unpacked."""
     expected = {f"{name}.npy" for name in ("meta", *_MEMBERS)}
-    try:
-        if path.stat().st_size > MAX_BYTES:
-            raise DataError(f"{path}: {path.stat().st_size} bytes; a label file has at most {MAX_BYTES}; split it")
-        with zipfile.ZipFile(path) as archive:
-            entries = archive.infolist()
-            names = [entry.filename for entry in entries]
-            total = sum(entry.file_size for entry in entries)
-            if total > MAX_BYTES:
-                raise DataError(f"{path}: {total} bytes when unpacked; a label file has at most {MAX_BYTES}; split it")
-            if any(entry.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED) for entry in entries):
-                raise DataError(f"{path}: a member is compressed in an unusual way; expected what numpy writes")
-            # The schema is read first: a newer file may well have other members.
-            if names.count("meta.npy") == 1:
-                _meta(path, _array(path, "meta", _member(archive, entries[names.index("meta.npy")])))
-            if set(names) != expected or len(names) != len(expected):
-                lacking, extra = sorted(expected - set(names)), sorted(set(names) - expected)
-                raise DataError(f"{path}: lacks {', '.join(lacking) or 'nothing'}, has besides "
-                                f"{', '.join(extra)[:200] or 'nothing'}; expected the members of a label file of "
-                                f"schema {SCHEMA}; write it anew with `dgrasp labels`")
-            return {name[:-4]: _array(path, name[:-4], _member(archive, archive.getinfo(name))) for name in names}
-    except DataError:
-        raise
-    except OSError as error:
-        raise DataError(f"{path}: cannot be read ({error.strerror or error})") from None
-    except Exception as error:
-        # A damaged archive fails in zipfile, zlib or numpy, each with exceptions of its own.
-        raise DataError(f"{path}: damaged label file ({type(error).__name__}: {str(error)[:200]}); "
-                        "get it or write it again") from None
-
-
-def _member(archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> bytes:
-    """A member's bytes, at most as many as announced: a read without a number unpacks first and cuts later."""
-    with archive.open(entry) as stream:
-        return stream.read(entry.file_size + 1)
-
-
-def _array(path: Path, name: str, raw: bytes) -> Array:
-    """The array of one .npy member; its header must announce just the bytes that follow."""
-    stream = io.BytesIO(raw)
-    if np.lib.format.read_magic(stream) != (1, 0):
-        raise DataError(f"{path}: {name} is of another .npy version; expected 1.0, as numpy writes it")
-    shape, _, dtype = np.lib.format.read_array_header_1_0(stream)
-    kinds = "U" if name == "meta" else np.dtype(_MEMBERS[name][0]).kind if name in _MEMBERS else ""
-    left = len(raw) - stream.tell()
-    if dtype.kind not in kinds or math.prod(shape) * dtype.itemsize != left:
-        raise DataError(f"{path}: {name} announces {shape} of {dtype.str}, with {left} bytes; expected "
-                        f"{'text' if name == 'meta' else 'numbers of kind ' + repr(kinds)} of just that size")
-    stream.seek(0)
-    array: Array = np.load(stream, allow_pickle=False)
-    return array
+    with open_npz(path, "label file", MAX_BYTES) as archive:
+        names = archive.names
+        # The schema is read first: a newer file may well have other members.
+        if names.count("meta.npy") == 1:
+            _meta(path, archive.read("meta", "U"))
+        if set(names) != expected or len(names) != len(expected):
+            lacking, extra = sorted(expected - set(names)), sorted(set(names) - expected)
+            raise DataError(f"{path}: lacks {', '.join(lacking) or 'nothing'}, has besides "
+                            f"{', '.join(extra)[:200] or 'nothing'}; expected the members of a label file of "
+                            f"schema {SCHEMA}; write it anew with `dgrasp labels`")
+        kinds = {"meta": "U", **{name: np.dtype(dtype).kind for name, (dtype, _) in _MEMBERS.items()}}
+        return {name: archive.read(name, kind) for name, kind in kinds.items()}
 
 
 def _meta(path: Path, text: Array) -> dict[str, Any]:

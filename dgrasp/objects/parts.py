@@ -162,7 +162,7 @@ def _decompose(mesh_file: Path, settings: PartSettings) -> list[str]:
     started = time.monotonic()
     vertices, faces = np.asarray(mesh.vertices, dtype=float), np.asarray(mesh.faces)
     hulls = [reduced_hull(points, settings.max_vertices) for points in _run_coacd(vertices, faces, settings)]
-    texts = [_obj(*hull) for hull in hulls if hull is not None]
+    texts = [obj_text(*hull) for hull in hulls if hull is not None]
     if not texts:
         raise DataError(f"{mesh_file}: no convex parts were found; expected a mesh that encloses a volume")
     with tempfile.TemporaryDirectory() as folder:
@@ -223,7 +223,8 @@ def _spanning_four(points: Array) -> list[int]:
     return [first, second, third, fourth]
 
 
-def _obj(vertices: Array, faces: Array) -> str:
+def obj_text(vertices: Array, faces: Array) -> str:
+    """Vertices (V, 3) and faces (F, 3) as a Wavefront file, nine digits."""
     lines = ["v {:.9g} {:.9g} {:.9g}".format(*vertex) for vertex in vertices.tolist()]
     lines += ["f {} {} {}".format(*face) for face in (faces + 1).tolist()]
     return "\n".join(lines) + "\n"

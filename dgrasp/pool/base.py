@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from dgrasp.config import Config
+from dgrasp.control.motion import Fingers
 from dgrasp.env.grasp_env import Mode
 from dgrasp.errors import DGraspError
 from dgrasp.hand.model import HandModel
@@ -43,7 +44,7 @@ class Pool(VecEnv, Protocol):
     def reset(self, epoch: int = 0, mode: Mode = "train") -> Array:
         """Start all episodes (see `GraspEnv.reset`); returns the observations (N, O).
 
-        This and the next two raise `WorkerLost`, after which a reset starts over.
+        This and the next three raise `WorkerLost`, after which a reset starts over.
         """
 
     def step(self, actions: Array) -> Step:
@@ -51,6 +52,9 @@ class Pool(VecEnv, Protocol):
 
     def remove_table(self) -> None:
         """Begin the stability test in all environments."""
+
+    def begin_motion(self, path: Array, fingers: Fingers = "policy") -> None:
+        """Begin motion synthesis along targets (N, P, 4, 4) in all environments (see `GraspEnv.begin_motion`)."""
 
     def close(self) -> None:
         """Free worlds and processes."""

@@ -2,8 +2,9 @@
 
 To collect an epoch, each worker is sent the actor once and goes through all its control steps alone; a
 worker waits for nobody. Stepped from outside, one byte goes to each worker per step and one comes back.
-Observations, actions and states lie in shared memory. Environment i belongs to worker i modulo the number
-of workers, which spreads costly objects evenly.
+Observations, actions and states lie in shared memory. At first environment i belongs to worker i modulo the
+number of workers; after the first epoch each has a stretch of the set that costs as much as any other's
+(`dgrasp.pool.balance`).
 
 A worker that dies or hangs is replaced by a new one with the same environments. What it had collected of the
 epoch is lost; what the others collected is not.
@@ -22,10 +23,14 @@ from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
 from multiprocessing.shared_memory import SharedMemory
 
+import numpy as np
+
+from dgrasp.control.motion import Fingers
 from dgrasp.env.features import FeatureLayer
 from dgrasp.env.grasp_env import Mode
 from dgrasp.env.rewards import Reward
 from dgrasp.hand.skeleton import N_DOF
+from dgrasp.pool.balance import costs, imbalance, stretches
 from dgrasp.pool.base import PoolError, PoolSpec, WorkerLost
 from dgrasp.pool.worker import FAILED, QUIT, STEP, Layout, Shared, Told, shared_arrays, work
 from dgrasp.rl.collect import Actor, Incident, Trajectories
@@ -37,6 +42,10 @@ _POLL_S = 0.2
 """How often the main process looks how far a collection is."""
 _LOSSES_IN_A_ROW = 3
 """A worker that is lost this often without a success in between will not get better."""
+BALANCE_AFTER = (1, 10, 100)
+"""Collections after which costs are looked at: grasps cost more as a policy learns to make them."""
+WORTH_MOVING = 0.03
+"""Share of a collection that a new division must save; it builds all worlds anew."""
 
 
 @dataclass
@@ -86,7 +95,13 @@ class ProcessPool:
         self._incidents: list[Incident] = []
         self._lost = 0
         self._start = time.perf_counter()
-        self._physics: list[float] = [0.0] * self._workers
+        self._rows = [slice(w, self.num_envs, self._workers) for w in range(self._workers)]
+        self._spent = np.zeros((2, self.num_envs))
+        """Seconds inside the engine and control steps made, by environment."""
+        self._told: list[Array] = [np.zeros((2, 1))] * self._workers
+        """The same as the present workers count it, when they last told."""
+        self._physics = 0.0
+        self._collections = 0
         try:
             for w in range(self._workers):
                 self._members.append(self._new_member(w))
@@ -102,7 +117,7 @@ class ProcessPool:
     def _new_member(self, w: int) -> _Member:
         context = multiprocessing.get_context("spawn")
         ours, theirs = context.Pipe()
-        arguments = (theirs, self._spec, w, self._workers, self._shared.memory.name)
+        arguments = (theirs, self._spec, w, self._workers, self._rows[w], self._shared.memory.name)
         process = context.Process(target=work, args=arguments, daemon=True, name=f"dgrasp-worker-{w}")
         with _single_threaded():
             process.start()
@@ -113,6 +128,8 @@ class ProcessPool:
 
     def collect(self, actor: Actor, epoch: int, steps: int, advance: Callable[[int], None]) -> Trajectories:
         self._begin()
+        if self._collections in BALANCE_AFTER:
+            self._balance()
         sizes = (steps, self.num_envs, self.observation_size, self.action_size, len(self.reward_terms))
         layout = Trajectories.layout(*sizes)
         if self._layout != layout:
@@ -146,7 +163,25 @@ class ProcessPool:
             raise
         for w in lost:
             self._replace(w)
+        self._collections += 1
         return self._trajectories
+
+    def _balance(self) -> None:
+        """Divide the environments anew if the measured costs make it worth while."""
+        cost = costs(*self._spent)
+        rows = stretches(cost, self._workers)
+        if imbalance(cost, self._rows) - imbalance(cost, rows) < WORTH_MOVING:
+            return
+        self._rows = rows
+        for w in range(self._workers):
+            self._told[w] = np.zeros((2, 1))
+            with suppress(OSError):
+                self._members[w].connection.send_bytes(pickle.dumps(("assign", rows[w])))
+        for w in range(self._workers):
+            try:
+                self._receive(w, None)
+            except WorkerLost:
+                self._replace(w)
 
     def _arrivals(self, waiting: set[int], advance: Callable[[int], None]) -> Iterator[int]:
         """Workers as they answer, die or miss the deadline; `waiting` holds those that have not."""
@@ -166,7 +201,7 @@ class ProcessPool:
             told = done
 
     def timing(self) -> dict[str, float]:
-        physics = sum(self._physics_seconds()) - sum(self._physics)
+        physics = self._listen() - self._physics
         wall = time.perf_counter() - self._start
         return {
             "physics_share": physics / max(wall * self._workers, 1e-9),
@@ -177,7 +212,7 @@ class ProcessPool:
         }
 
     def drain_events(self) -> list[str]:
-        self._physics_seconds()
+        self._listen()
         events, self._events = self._events, []
         return events
 
@@ -201,6 +236,9 @@ class ProcessPool:
     def remove_table(self) -> None:
         self._command(pickle.dumps(("remove_table",)))
 
+    def begin_motion(self, path: Array, fingers: Fingers = "policy") -> None:
+        self._command(pickle.dumps(("begin_motion", path, fingers)))
+
     def close(self) -> None:
         for member in self._members:
             with suppress(OSError):
@@ -214,7 +252,7 @@ class ProcessPool:
     # Talking to workers ------------------------------------------------------------------------
 
     def _begin(self) -> None:
-        self._start, self._physics = time.perf_counter(), self._physics_seconds()
+        self._start, self._physics = time.perf_counter(), self._listen()
 
     def _command(self, command: bytes) -> None:
         """All workers do it. Lost ones are replaced, and then `WorkerLost` says that they did not do it."""
@@ -253,17 +291,17 @@ class ProcessPool:
             raise PoolError(f"worker {w} was lost {losses} times in a row; is there enough memory for its worlds?")
         self._members[w] = self._new_member(w)
         self._members[w].losses = losses
-        # A new worker counts its seconds from zero.
-        self._physics[w] = 0.0
+        # A new worker counts from zero.
+        self._told[w] = np.zeros((2, 1))
         self._lost += 1
         try:
             self._receive(w, None)
         except WorkerLost:
             self._replace(w)
 
-    def _physics_seconds(self) -> list[float]:
-        """Seconds inside the engine, per worker; takes over what the workers have to tell."""
-        command, seconds = pickle.dumps(("tell",)), []
+    def _listen(self) -> float:
+        """Take over what the workers have to tell. Returns the seconds inside the engine so far."""
+        command = pickle.dumps(("tell",))
         for w in range(self._workers):
             try:
                 connection = self._members[w].connection
@@ -273,11 +311,13 @@ class ProcessPool:
             except (WorkerLost, EOFError, OSError) as lost:
                 self._events.append(f"{lost}, between two epochs")
                 self._replace(w)
-                told = Told(0.0, [], [])
-            seconds.append(told.step_seconds)
+                continue
+            now = np.stack([told.seconds, told.steps])
+            self._spent[:, self._rows[w]] += now - self._told[w]
+            self._told[w] = now
             self._events += told.events
             self._incidents += told.incidents
-        return seconds
+        return float(self._spent[0].sum())
 
 
 def _end(member: _Member, patience_s: float) -> None:

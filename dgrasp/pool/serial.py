@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 
+from dgrasp.control.motion import Fingers
 from dgrasp.env.grasp_env import GraspEnv, Mode
 from dgrasp.pool.base import PoolSpec
 from dgrasp.rl.collect import Actor, Incident, Trajectories, collect
@@ -44,6 +45,9 @@ class SerialPool:
 
     def remove_table(self) -> None:
         self.env.remove_table()
+
+    def begin_motion(self, path: Array, fingers: Fingers = "policy") -> None:
+        self.env.begin_motion(path, fingers)
 
     def timing(self) -> dict[str, float]:
         wall = time.perf_counter() - self._start[0]

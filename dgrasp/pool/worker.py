@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from dgrasp.control.motion import Fingers
 from dgrasp.env.grasp_env import GraspEnv, Mode, StepArrays
 from dgrasp.env.state import STATE_SIZE, copy_state, state_views
 from dgrasp.hand.skeleton import N_DOF
@@ -75,26 +76,39 @@ class Shared:
 
 
 class Told(NamedTuple):
-    """What a worker tells of itself: seconds inside the engine so far; events and incidents since last asked."""
+    """What a worker tells of itself: (n,) seconds inside the engine and control steps made so far, by environment;
+    events and incidents since last asked."""
 
-    step_seconds: float
+    seconds: Array
+    steps: Array
     events: list[str]
     incidents: list[Incident]
 
 
 class Worker:
-    """Environments w, w + workers, ... of a pool. Each public method but `serve` is a command."""
+    """Some environments of a pool. Each public method but `serve` is a command."""
 
-    def __init__(self, conn: Connection, spec: PoolSpec, w: int, workers: int, memory: str) -> None:
-        self._conn, self._w, self._rows = conn, w, slice(w, None, workers)
-        indices = list(range(len(spec.labels)))[self._rows]
-        labels = [spec.labels[i] for i in indices]
-        self.env = GraspEnv(labels, spec.hand, spec.objects, spec.config, indices, len(spec.labels))
+    def __init__(self, conn: Connection, spec: PoolSpec, w: int, workers: int, rows: slice, memory: str) -> None:
+        self._conn, self._spec, self._w = conn, spec, w
+        self.env = self._make(rows)
         sizes = (len(spec.labels), self.env.observation_size, len(self.env.reward_terms), workers)
         self._shared = Shared(*sizes, name=memory)
         self._memory: SharedMemory | None = None
         self._trajectories: Trajectories | None = None
         self._incidents: list[Incident] = []
+
+    def _make(self, rows: slice) -> GraspEnv:
+        self._rows, spec = rows, self._spec
+        indices = list(range(len(spec.labels)))[rows]
+        labels = [spec.labels[i] for i in indices]
+        return GraspEnv(labels, spec.hand, spec.objects, spec.config, indices, len(spec.labels))
+
+    def assign(self, rows: slice) -> None:
+        """Take over other environments."""
+        self.env.close()
+        self.env = self._make(rows)
+        # Its views are of the old rows.
+        self._memory = None
 
     def step(self) -> None:
         self.env.step(self._shared.actions[self._rows])
@@ -106,6 +120,9 @@ class Worker:
 
     def remove_table(self) -> None:
         self.env.remove_table()
+
+    def begin_motion(self, path: Array, fingers: Fingers) -> None:
+        self.env.begin_motion(path[self._rows], fingers)
 
     def collect(self, actor: Actor, epoch: int, layout: Layout, memory: str) -> None:
         if self._memory is None or self._memory.name != memory:
@@ -121,7 +138,7 @@ class Worker:
             raise _Stopped
 
     def tell(self) -> Told:
-        told = Told(self.env.step_seconds, self.env.events, self._incidents)
+        told = Told(self.env.seconds_per_env, self.env.steps_made, self.env.events, self._incidents)
         self.env.events, self._incidents = [], []
         return told
 
@@ -145,12 +162,12 @@ class Worker:
                 self._conn.send(answer)
 
 
-def work(conn: Connection, spec: PoolSpec, w: int, workers: int, memory: str) -> None:
+def work(conn: Connection, spec: PoolSpec, w: int, workers: int, rows: slice, memory: str) -> None:
     """A worker's process: builds its environments, says so, and serves."""
     # Ctrl-C belongs to the main process, which stops the workers in its own time.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     try:
-        worker = Worker(conn, spec, w, workers, memory)
+        worker = Worker(conn, spec, w, workers, rows, memory)
         conn.send_bytes(OK)
         worker.serve()
         worker.env.close()

@@ -20,7 +20,7 @@ from dgrasp.errors import DataError
 from dgrasp.rl.networks import ActorCritic, Policy, make_mlp, parameter_shapes
 
 SCHEMA = 2
-FOLDER = "checkpoints"
+FOLDER, BEST = "checkpoints", "best.pt"
 _NAME = re.compile(r"\d{6,}\.pt")
 _MAX_BYTES = 2**30
 _SEAL = b"dgrasp sha256 "
@@ -96,7 +96,15 @@ def to_cpu(value: Any) -> Any:
 
 def save(run_dir: Path, checkpoint: Checkpoint) -> Path:
     """Write `checkpoints/NNNNNN.pt` (NNNNNN: completed epochs) in the run directory and return its path."""
-    path = run_dir / FOLDER / f"{checkpoint.epoch:06d}.pt"
+    return _write(run_dir / FOLDER / f"{checkpoint.epoch:06d}.pt", checkpoint)
+
+
+def save_best(run_dir: Path, checkpoint: Checkpoint) -> Path:
+    """Write `best.pt` in the run directory, over the one that was best before."""
+    return _write(run_dir / BEST, checkpoint)
+
+
+def _write(path: Path, checkpoint: Checkpoint) -> Path:
     content = {field.name: getattr(checkpoint, field.name) for field in fields(Checkpoint)}
     stream = io.BytesIO()
     torch.save({"schema": SCHEMA, **content}, stream)

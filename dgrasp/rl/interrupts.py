@@ -1,4 +1,4 @@
-"""Ctrl-C and SIGTERM: both raise KeyboardInterrupt, except where a save must come to its end."""
+"""Ctrl-C and SIGTERM: both interrupt, except where a save must come to its end."""
 
 from __future__ import annotations
 
@@ -12,8 +12,12 @@ from typing import Any
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 
+class Preempted(KeyboardInterrupt):
+    """SIGTERM: whoever runs this wants the machine back, and counts a tidy end as success."""
+
+
 def _interrupt(number: int, frame: FrameType | None) -> None:
-    raise KeyboardInterrupt
+    raise Preempted if number == signal.SIGTERM else KeyboardInterrupt
 
 
 @contextlib.contextmanager
@@ -32,7 +36,7 @@ def _handling(handler: Any) -> Iterator[None]:
 
 
 def interruptible() -> contextlib.AbstractContextManager[None]:
-    """Both signals raise KeyboardInterrupt, also in a background job, which starts with SIGINT ignored."""
+    """SIGINT raises KeyboardInterrupt and SIGTERM `Preempted`, also in a background job, which starts with SIGINT ignored."""
     return _handling(_interrupt)
 
 

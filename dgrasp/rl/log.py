@@ -29,7 +29,8 @@ RETURN, TERMINATED, TRUNCATED = "train/return", "train/terminated", "train/trunc
 SUCCESS, CONTACT_RATIO = "eval/success", "eval/contact_ratio"
 STEPS_PER_SECOND, PHYSICS_SHARE, UPDATE_SHARE = "speed/steps_per_second", "speed/physics_share", "speed/update_share"
 LOST_WORKERS = "speed/lost_workers"
-_FIXED_COLUMNS = ("epoch", "control_steps", "seconds")
+WORKERS = "speed/workers"
+_FIXED_COLUMNS = ("epoch", "control_steps", "seconds", "core_hours")
 _EVENTS_SHOWN = 3
 _INCIDENTS_KEPT = 50
 
@@ -61,11 +62,17 @@ class Log:
             rows = _rows_until(self._csv, resumed_epoch) if resumed_epoch else []
             self._columns = list(rows[0]) if rows else columns
             self._seconds_before = float(rows[-1]["seconds"]) if rows else 0.0
+            self._core_hours_before = float(rows[-1].get("core_hours") or 0.0) if rows else 0.0
             atomic_write_bytes(self._csv, _csv_text(self._columns, rows, header=True).encode())
             self._events = EventFile(run_dir, purge_step=resumed_epoch + 1 if resumed_epoch else 0)
             self._events.layout(_layout(reward_terms))
             self._events.text("config", dump_config(config), resumed_epoch)
             self._events.text("data", json.dumps(data_stamp, indent=2), resumed_epoch)
+            for row in rows:
+                # TensorBoard hides every earlier point beyond the resumed epoch, whatever a curve counts in.
+                if row.get(_column(SUCCESS)):
+                    cost = int(row["control_steps"]), float(row.get("core_hours") or 0.0)
+                    self._success_by_cost(float(row[_column(SUCCESS)]), *cost)
             self._events.flush()
         self._start = time.monotonic()
         self._progress = TrainingProgress(
@@ -136,16 +143,22 @@ class Log:
     def epoch(self, epoch: int, values: Mapping[str, float], gif: bytes | None = None) -> None:
         """Write the values (tag to number) of a completed epoch, and a GIF of its evaluation.
 
-        Epoch 0 is the state before training.
+        Epoch 0 is the state before training. Cost counts the workers' cores, whatever they do on them.
         """
+        steps, seconds = epoch * self._steps_per_epoch, time.monotonic() - self._start
+        core_hours = self._core_hours_before + seconds * values.get(WORKERS, 1.0) / 3600.0
         with self._writing():
             for tag, value in values.items():
                 self._events.scalar(tag, value, epoch)
+            self._events.scalar("cost/control_steps", steps, epoch)
+            self._events.scalar("cost/core_hours", core_hours, epoch)
+            if SUCCESS in values:
+                self._success_by_cost(values[SUCCESS], steps, core_hours)
             if gif is not None:
                 self._add_gif(gif, epoch)
             row = {_column(tag): f"{value:.8g}" for tag, value in values.items()}
-            row["epoch"], row["control_steps"] = str(epoch), str(epoch * self._steps_per_epoch)
-            row["seconds"] = f"{self._seconds_before + time.monotonic() - self._start:.1f}"
+            row["epoch"], row["control_steps"] = str(epoch), str(steps)
+            row["seconds"], row["core_hours"] = f"{self._seconds_before + seconds:.1f}", f"{core_hours:.5f}"
             with open(self._csv, "a", encoding="utf-8", newline="") as stream:
                 stream.write(_csv_text(self._columns, [row], header=False))
             self._events.flush()
@@ -154,6 +167,10 @@ class Log:
             known = {"success": SUCCESS, "contact ratio": CONTACT_RATIO, "return": RETURN}
             text = ", ".join(f"{name} {values[tag]:.3f}" for name, tag in known.items() if tag in values)
             self.message(f"epoch {epoch}/{self._epochs}: {text}")
+
+    def _success_by_cost(self, success: float, control_steps: int, core_hours: float) -> None:
+        self._events.scalar("cost/success_by_control_steps", success, control_steps)
+        self._events.scalar("cost/success_by_core_seconds", success, int(3600 * core_hours))
 
     def _add_gif(self, gif: bytes, epoch: int) -> None:
         if gif[:4] != b"GIF8":
@@ -173,7 +190,7 @@ class Log:
 
 
 def _layout(reward_terms: Sequence[str]) -> dict[str, dict[str, list[Any]]]:
-    """TensorBoard's custom page: the five curves that matter first, then all reward terms."""
+    """TensorBoard's custom page: the curves that matter first, then all reward terms."""
     contact = [CONTACT_RATIO, *(f"reward/{term}" for term in reward_terms if "contact" in term)]
     return {
         "Training": {
@@ -182,6 +199,7 @@ def _layout(reward_terms: Sequence[str]) -> dict[str, dict[str, list[Any]]]:
             "contact": ["Multiline", contact],
             "KL": ["Multiline", ["ppo/kl"]],
             "steps per second": ["Multiline", [STEPS_PER_SECOND]],
+            "success by control steps": ["Multiline", ["cost/success_by_control_steps"]],
         },
         "Reward": {"terms": ["Multiline", [f"reward/{term}" for term in reward_terms]]},
     }

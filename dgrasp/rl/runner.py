@@ -16,7 +16,8 @@ from dgrasp.config import Config
 from dgrasp.errors import ConfigError
 from dgrasp.rl import checkpoint as checkpoints
 from dgrasp.rl.checkpoint import Checkpoint
-from dgrasp.rl.interrupts import interruptible, uninterruptible
+from dgrasp.rl.interrupts import Preempted, interruptible, uninterruptible
+from dgrasp.rl.lock import only_run
 from dgrasp.rl.log import RETURN, STEPS_PER_SECOND, SUCCESS, TERMINATED, TRUNCATED, UPDATE_SHARE, Log
 from dgrasp.rl.networks import ActorCritic, Policy
 from dgrasp.rl.ppo import Ppo
@@ -28,11 +29,11 @@ Evaluate = Callable[[Policy], dict[str, Any]]
 
 
 class Interrupted(Exception):
-    """The training was interrupted; `checkpoint` holds its last completed epoch."""
+    """The training was interrupted; `checkpoint` holds its last completed epoch. preempted: by SIGTERM."""
 
-    def __init__(self, checkpoint: Path, epoch: int) -> None:
+    def __init__(self, checkpoint: Path, epoch: int, preempted: bool = False) -> None:
         super().__init__(f"interrupted; epoch {epoch} is saved in {checkpoint}, continue with --resume")
-        self.checkpoint, self.epoch = checkpoint, epoch
+        self.checkpoint, self.epoch, self.preempted = checkpoint, epoch, preempted
 
 
 def epoch_generator(seed: int, epoch: int) -> torch.Generator:
@@ -92,14 +93,14 @@ class Runner:
 
     def learn(self) -> None:
         """Train to the last epoch; `Interrupted` on Ctrl-C or SIGTERM, with the last completed epoch saved."""
-        with interruptible():
+        with interruptible(), only_run(self.run_dir):
             try:
                 with self._open_log() as log:
                     self._learn(log)
-            except KeyboardInterrupt:
+            except KeyboardInterrupt as stop:
                 with uninterruptible():
                     path = self._save()
-                raise Interrupted(path, self._completed.epoch) from None
+                raise Interrupted(path, self._completed.epoch, isinstance(stop, Preempted)) from None
 
     def _learn(self, log: Log) -> None:
         for notice in self._notices:
@@ -158,10 +159,14 @@ class Runner:
             results = dict(self.evaluate(self.model.policy()))
             gif = results.pop("gif", None)
             values = {**values, **_tagged("eval", results)}
-            self.best_success = max(values[SUCCESS], self.best_success or 0.0)
+        best = SUCCESS in values and values[SUCCESS] >= (self.best_success or 0.0)
+        if best:
+            self.best_success = values[SUCCESS]
         if values:
             log.epoch(epoch, values, gif)
         self._completed = self._snapshot()
+        if best:
+            checkpoints.save_best(self.run_dir, self._completed)
 
     @property
     def _steps_per_epoch(self) -> int:

@@ -47,7 +47,9 @@ def render_record(
             scene.hand.set_base_pose(origin, quaternion_from_matrix(R_WH0))
             scene.hand.set_state(gc)
             scene.object.set_state(record.T_WO[t, :3, 3], quaternion_from_matrix(record.T_WO[t, :3, :3]))
-            scene.set_table_top(TABLE_TOP if t < record.window_start else LOWERED_TOP)
+            # A motion that began with a grasp keeps its table.
+            stays = record.target_T_WO is not None and record.window_start > 0
+            scene.set_table_top(TABLE_TOP if stays or t < record.window_start else LOWERED_TOP)
             frames.append(world.render(eye, target, *size).copy())
         return frames
     finally:

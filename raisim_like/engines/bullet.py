@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Sequence
 
 import numpy as np
@@ -10,7 +11,7 @@ from raisim_like.contact import Contact
 from raisim_like.engines.body_frame import BodyFrame
 from raisim_like.engines.bullet_bodies import make_articulated, make_body
 from raisim_like.engines.bullet_contacts import contacts_of, link_impulses, touching
-from raisim_like.engines.bullet_pd import ImplicitPd, integrate_worlds
+from raisim_like.engines.bullet_pd import HOLD, ImplicitPd, blocks, integrate_worlds
 from raisim_like.engines.bullet_shapes import xyzw
 from raisim_like.engines.bullet_state import BulletSnapshot
 from raisim_like.engines.pending import Pending
@@ -85,10 +86,18 @@ class BulletWorld:
             )
             self._block = steps
 
-    def bare_step(self, substeps: int) -> None:
-        self.set_block(1)
-        for _ in range(substeps):
+    def bare_step(self, substeps: int) -> float:
+        seconds = 0.0
+        for steps in blocks(substeps, self.timestep, HOLD[self.preset]):
+            # Bullet forgets torques with every step, and limp fingers would be another problem than a grasp.
+            for system in self.systems.values():
+                if system.forces:
+                    system.apply()
+            self.set_block(steps)
+            start = time.perf_counter()
             p.stepSimulation(physicsClientId=self.client)
+            seconds += time.perf_counter() - start
+        return seconds
 
     def close(self) -> None:
         if self.client >= 0:

@@ -213,8 +213,11 @@ class MujocoWorld:
         for body, system in self.systems.items():
             built.data.qfrc_applied[built.slots[body].v] = system.drive.feed_forward
 
-    def bare_step(self, substeps: int) -> None:
-        mj.mj_step(self._ready().model, self._ready().data, nstep=substeps)
+    def bare_step(self, substeps: int) -> float:
+        built = self._ready()
+        start = time.perf_counter()
+        mj.mj_step(built.model, built.data, nstep=substeps)
+        return time.perf_counter() - start
 
     def save(self) -> mujoco_state.Snapshot:
         drives = {body: system.drive for body, system in self.systems.items()}

@@ -99,8 +99,11 @@ class EngineWorld(Protocol):
     def link_poses(self, body: int) -> tuple[Array, Array]:
         """World rotations (dof, 3, 3) and origins (dof, 3) of the moving links."""
 
-    def bare_step(self, substeps: int) -> None:
-        """The engine's own step and nothing else, that many times: what control and reading are measured against."""
+    def bare_step(self, substeps: int) -> float:
+        """The engine's own step, that many times under the last torques: what control and reading are measured against.
+
+        Returns the wall seconds inside that step.
+        """
 
     def save(self) -> Any:
         """All that the next steps depend on, but for gravity, materials and who is there."""

@@ -78,6 +78,8 @@ def random_state(n: int, seed: int = 0) -> SceneState:
     s.object_start_W[:] = rng.normal(size=(n, 3))
     s.table_height_W[:] = rng.uniform(0.2, 0.6, n)
     s.object_mass[:] = rng.uniform(0.1, 1.0, n)
+    s.R_WG[:] = random_rotations(n, rng, 0.5)
+    s.target_pos_W[:] = rng.normal(size=(n, 3))
     return s
 
 
@@ -119,9 +121,9 @@ def moved_state(state: SceneState, T: Array) -> SceneState:
     """The same scene after the rigid motion T (4, 4) of the world; gc and gv are relative to H0 and stay."""
     R, t = T[:3, :3], T[:3, 3]
     s = copy_state(state)
-    for name in ("R_WH0", "R_WH", "R_WO"):
+    for name in ("R_WH0", "R_WH", "R_WO", "R_WG"):
         setattr(s, name, R @ getattr(state, name))
-    for name in ("wrist_start_W", "joints_W", "object_pos_W", "object_start_W"):
+    for name in ("wrist_start_W", "joints_W", "object_pos_W", "object_start_W", "target_pos_W"):
         setattr(s, name, getattr(state, name) @ R.T + t)
     for name in ("object_linvel_W", "object_angvel_W"):
         setattr(s, name, getattr(state, name) @ R.T)

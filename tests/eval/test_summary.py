@@ -86,10 +86,13 @@ def test_records_become_rows() -> None:
         "sim_dist_wrist_mm_per_step": 0.0, "contact_ratio": 1.0,
     }
     broken = record(at([0.6, np.nan]), window_start=2, terminated="NaN", of=label("025_mug", 4, goal=()))
-    assert label_row(broken, 10 * DT) == {"object": "025_mug", "index": 4, "success": False, "terminated": "NaN"}
+    assert label_row(broken, 10 * DT) == {
+        "object": "025_mug", "index": 4, "success": False, "failure": "broken", "lost_s": 0.0, "terminated": "NaN",
+    }
     out = summarise([held, broken], method="gt_pd", engine="pybullet", window_s=10 * DT, seed=1, data=FREE, cost=COST)
     assert out.mean_over_labels["success"] == 0.5
     assert out.mean_over_labels["contact_ratio"] == 1.0
+    assert "lost_s" not in out.mean_over_labels and "lost_s" not in out.intervals["mean_over_labels"]
 
 
 def test_a_target_of_the_object_adds_its_errors() -> None:

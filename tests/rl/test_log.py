@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import io
 import sys
 from pathlib import Path
@@ -85,12 +86,13 @@ def test_gif_is_stored_as_it_is(run_dir: Path) -> None:
     assert images[0].encoded_image_string == GIF and (images[0].width, images[0].height) == (7, 5)
 
 
-def test_the_page_shows_the_five_that_matter_first(run_dir: Path) -> None:
+def test_the_page_shows_what_matters_first(run_dir: Path) -> None:
     event = _events(run_dir).Tensors("custom_scalars__config__")[0]
     layout = layout_pb2.Layout()
     layout.ParseFromString(event.tensor_proto.string_val[0])
     first = layout.category[0]
-    assert [chart.title for chart in first.chart] == ["success", "return", "contact", "KL", "steps per second"]
+    wanted = ["success", "return", "contact", "KL", "steps per second", "success by control steps"]
+    assert [chart.title for chart in first.chart] == wanted
     contact = list(first.chart[2].multiline.tag)
     assert contact == ["eval/contact_ratio", "reward/contact_reward"]
 
@@ -106,7 +108,7 @@ def test_events_of_the_environments(run_dir: Path, tmp_path: Path, capsys: pytes
 def test_csv(run_dir: Path) -> None:
     lines = (run_dir / "progress.csv").read_text().splitlines()
     header = lines[0].split(",")
-    assert header[:4] == ["epoch", "control_steps", "seconds", "return"]
+    assert header[:5] == ["epoch", "control_steps", "seconds", "core_hours", "return"]
     assert [line.split(",")[:2] for line in lines[1:]] == [[str(n), str(80 * n)] for n in range(5)]
     assert {len(line.split(",")) for line in lines} == {len(header)}
     assert [line.split(",")[header.index("success")] for line in lines[1:]] == ["0.75", "", "0.75", "", "0.75"]
@@ -125,6 +127,21 @@ def test_resumed_csv_keeps_its_header_and_its_clock(tmp_path: Path) -> None:
     assert lines[:3] == [header.strip(), "1,80,100.0,-1,2", "2,160,200.0,-1,2"] and len(lines) == 4
     epoch, steps, seconds, value, term = lines[3].split(",")
     assert (epoch, steps, value, term) == ("3", "240", "-0.5", "") and 200.0 <= float(seconds) < 260.0
+
+
+def test_success_stands_over_its_cost(tmp_path: Path) -> None:
+    """A resumed run keeps the points before it, though TensorBoard hides all whose step is beyond the epoch."""
+    with _log(tmp_path) as log:
+        for epoch in (1, 2, 3):
+            log.epoch(epoch, {"eval/success": epoch / 10, "speed/workers": 4.0})
+    with open(tmp_path / "progress.csv", encoding="utf-8") as stream:
+        rows = list(csv.DictReader(stream))
+    # Four workers' cores for as long as the run took.
+    assert float(rows[-1]["core_hours"]) == pytest.approx(4 * float(rows[-1]["seconds"]) / 3600, abs=1.2e-4)
+    with _log(tmp_path, resumed=2) as log:
+        log.epoch(3, {"eval/success": 0.5, "speed/workers": 1.0})
+    points = _events(tmp_path).Scalars("cost/success_by_control_steps")
+    assert [(p.step, round(p.value, 3)) for p in points] == [(80, 0.1), (160, 0.2), (240, 0.5)]
 
 
 def test_resumed_events_hide_what_came_later(tmp_path: Path) -> None:

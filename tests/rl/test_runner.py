@@ -21,6 +21,9 @@ from dgrasp.rl.networks import Policy
 from dgrasp.rl.runner import Evaluate, Interrupted, Runner, epoch_generator
 from tests.rl.toy import ToyEnv, toy_config
 
+TIMES = ("seconds", "core_hours", "steps_per_second", "update_share")
+"""What a log holds that differs from run to run."""
+
 
 def _run(run_dir: Path, config: Config, resume: bool = False, evaluate: Evaluate | None = None, **env: Any) -> Runner:
     runner = Runner(ToyEnv(**env), config, run_dir, {"hand": "toy"}, evaluate, resume)
@@ -67,7 +70,7 @@ def test_a_seeded_run_repeats_to_the_bit(tmp_path: Path) -> None:
     _run(tmp_path / "b", toy_config(seed=3))
     _run(tmp_path / "c", toy_config(seed=4))
     _assert_same(_last(tmp_path / "a"), _last(tmp_path / "b"))
-    columns = [name for name in _rows(tmp_path / "a")[0] if name not in ("seconds", "steps_per_second", "update_share")]
+    columns = [name for name in _rows(tmp_path / "a")[0] if name not in TIMES]
     for a, b in zip(_rows(tmp_path / "a"), _rows(tmp_path / "b"), strict=True):
         assert [a[name] for name in columns] == [b[name] for name in columns]
     assert not torch.equal(_last(tmp_path / "a").model["actor.0.weight"], _last(tmp_path / "c").model["actor.0.weight"])

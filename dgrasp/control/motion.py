@@ -1,0 +1,102 @@
+"""Motion synthesis: the wrist carries the object to a 6D target in closed loop (paper, section 3.3; supplement, A.2)."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+
+from dgrasp.config import ActionConfig, MotionConfig
+from dgrasp.control.controllers import HOLD_KP_POSITION
+from dgrasp.hand.skeleton import N_DOF
+from dgrasp.types import Array, SceneState
+from raisim_like.rotations import (
+    euler_from_matrix,
+    matrix_from_rotation_vector,
+    rotate,
+    rotate_back,
+    rotation_vector,
+)
+
+Fingers = Literal["policy", "target", "pose"]
+"""Who has the fingers during the motion: the policy; or nobody, and they keep their PD targets or their pose."""
+
+
+class MotionSynthesis:
+    """T_pd = T_h + beta * (T_g - T_o), recomputed in every control step; the policy keeps the fingers.
+
+    The targets are `state.R_WG` and `state.target_pos_W`, which may move. As in the authors' code, beta grows in equal
+    steps, so that the object is not thrown from its rest. Every environment counts its own control steps.
+    """
+
+    carries = True
+    kp_position = HOLD_KP_POSITION
+
+    def __init__(self, action: ActionConfig, motion: MotionConfig, n: int, fingers: Array | None = None) -> None:
+        """fingers: (n, 45) targets to hold the fingers at, instead of the policy's (the baseline "static grasp")."""
+        self.sigma = np.zeros(N_DOF)
+        if fingers is None:
+            self.sigma[6:] = action.sigma_fingers
+        self._motion = motion
+        self._fingers = None if fingers is None else fingers.copy()
+        self._steps = np.zeros(n)
+
+    def begin(self, rows: Array) -> None:
+        """Some environments begin a motion anew."""
+        self._steps[rows] = 0.0
+
+    def bias(self, state: SceneState, goal: object, out: Array) -> None:
+        """Writes q_b into out (N, 51); one call per control step."""
+        out[:] = state.gc if self._fingers is None else np.concatenate([state.gc[:, :6], self._fingers], axis=1)
+        m = self._motion
+        beta_position = m.beta_position * np.minimum(1.0, self._steps / m.ramp_position)
+        beta_rotation = m.beta_rotation * np.minimum(1.0, self._steps / m.ramp_rotation)
+        out[:, :6] = wrist_target(state, beta_position, beta_rotation)
+        self._steps += 1.0
+
+
+def wrist_target(state: SceneState, beta_position: Array, beta_rotation: Array) -> Array:
+    """(N, 6) the wrist's coordinates, relative to H0, that bring the object by the shares beta (N,) to its target.
+
+    The object sits in the hand like a stone: it goes straight towards its target's position and turns about its own
+    origin, about the axis of the remaining rotation. With both beta 1 it is there.
+    """
+    to_go = rotation_vector(np.matmul(state.R_WG, np.swapaxes(state.R_WO, 1, 2)))
+    turn = matrix_from_rotation_vector(beta_rotation[:, None] * to_go)
+    object_pos = state.object_pos_W + beta_position[:, None] * (state.target_pos_W - state.object_pos_W)
+    wrist_pos = object_pos + rotate(turn, state.joints_W[:, 0] - state.object_pos_W)
+    out = np.empty((len(state.gc), 6))
+    out[:, :3] = rotate_back(state.R_WH0, wrist_pos - state.wrist_start_W)
+    R_H0H = np.matmul(np.swapaxes(state.R_WH0, 1, 2), np.matmul(turn, state.R_WH))
+    out[:, 3:] = nearest_euler(R_H0H, state.gc[:, 3:6])
+    return out
+
+
+LOCK = 1e-9
+"""Of 1 - |sin b|: below it the first and third angle turn about the same axis."""
+
+
+def nearest_euler(R: Array, near: Array) -> Array:
+    """Intrinsic XYZ angles (N, 3) of matrices (N, 3, 3): of all that there are, those nearest to `near` (N, 3).
+
+    A rotation has two sets of angles, (a, b, c) and (a + pi, pi - b, c + pi), each up to whole turns, so that a joint
+    that follows the principal ones would have to jump. At the gimbal lock all that keep a + c (or a - c) do.
+    """
+    first = euler_from_matrix(R)
+    second = np.array([np.pi, np.pi, np.pi]) + first * np.array([1.0, -1.0, 1.0])
+    first, second = (near + _wrapped(angles - near) for angles in (first, second))
+    closer = ((second - near) ** 2).sum(axis=1) < ((first - near) ** 2).sum(axis=1)
+    out = np.where(closer[:, None], second, first)
+    locked = 1.0 - np.abs(R[:, 0, 2]) < LOCK
+    if locked.any():
+        # There the principal third angle is 0, and a alone says what a + c (b = pi/2) or a - c (b = -pi/2) must be.
+        side = np.sign(R[locked, 0, 2])
+        a, c = near[locked, 0], near[locked, 2]
+        half = _wrapped(first[locked, 0] + side * first[locked, 2] - a - side * c) / 2.0
+        out[locked, 0], out[locked, 2] = a + half, c + side * half
+    return np.asarray(out)
+
+
+def _wrapped(angles: Array) -> Array:
+    """Angles as the nearest to 0 among those that differ by whole turns."""
+    return np.asarray(angles - 2.0 * np.pi * np.round(angles / (2.0 * np.pi)))

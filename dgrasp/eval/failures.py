@@ -1,0 +1,154 @@
+"""Where grasps fail and when: classes of lost grasps, and the share that is held over time (docs/report.md).
+
+Every threshold is a constant of this module; a class is a pure function of an `EpisodeRecord`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from dgrasp.eval.metrics import fallen, window_steps
+from dgrasp.types import Array, EpisodeRecord
+
+KINDS = ("approach", "lift", "slip", "drop", "broken")
+"""The classes of failure, in the order of an episode. An episode that is none of them was held."""
+
+MEANINGS = {
+    "approach": "never in the grip: untouched, tipped or pushed away before the table goes",
+    "lift": "lost within half a second after the table goes",
+    "slip": "lost later, after sliding in the hand",
+    "drop": "lost later, from a steady grip",
+    "broken": "the simulation broke before the object was lost",
+}
+
+GRIP_S = 0.15
+"""s. The hand must touch the object within this time before the table goes (or after a start in the grasp)."""
+PUSHED_M = 0.05
+"""m. An object that the approach moved farther than this along the table was pushed away."""
+TIPPED_RAD = float(np.deg2rad(30.0))
+"""rad. An object whose vertical the approach turned by more than this was tipped."""
+LIFT_S = 0.5
+"""s after the table went. A loss up to then belongs to the lift."""
+SLID_M = 0.02
+"""m. An object that moved farther than this in the wrist's frame slid."""
+SUDDEN_S = 0.2
+"""s. What happens within this time before the loss is the loss itself, not sliding."""
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """How an episode ended.
+
+    kind: one of `KINDS`, or "held". step: the last control step with the object in the hand, -1 where it never was;
+    None if it was held. lost_s: that moment in s after the table went, at least 0; None if it was held.
+    """
+
+    kind: str
+    step: int | None
+    lost_s: float | None
+
+
+def outcome(record: EpisodeRecord, window_s: float) -> Outcome:
+    """The class of an episode; "held" exactly where `metrics.success` is true.
+
+    The moment of the loss is the last step before the landing in which a part of the hand touched the object.
+    """
+    start = record.window_start
+    stop = start + window_steps(record, window_s)
+    landed = np.flatnonzero(fallen(record)[start:stop])
+    if not landed.size:
+        if not record.terminated:
+            return Outcome("held", None, None)
+        last = len(record.T_WO) - 1
+        return Outcome("broken", last, _seconds(record, last))
+    touched = np.flatnonzero(_touch(record)[start : start + int(landed[0]) + 1])
+    last = start + int(touched[-1]) if touched.size else start - 1
+    lost_s = _seconds(record, last)
+    if not _gripped(record) or _displaced(record):
+        kind = "approach"
+    elif lost_s <= LIFT_S:
+        kind = "lift"
+    else:
+        kind = "slip" if _slid_before(record, last) else "drop"
+    return Outcome(kind, last, lost_s)
+
+
+def _seconds(record: EpisodeRecord, step: int) -> float:
+    """Time of the state after a step, in s after the table went."""
+    return max(0.0, (step - record.window_start + 1) * record.dt)
+
+
+def _touch(record: EpisodeRecord) -> Array:
+    """(T,) bool: a part of the hand touches the object."""
+    return np.asarray((np.asarray(record.contacts, dtype=float) > 0.0).any(axis=1))
+
+
+def _gripped(record: EpisodeRecord) -> bool:
+    """Whether the hand touched the object just before the table went, or just after a start in the grasp."""
+    steps = max(1, round(GRIP_S / record.dt))
+    start = record.window_start
+    near = slice(max(0, start - steps), start) if start else slice(0, steps)
+    return bool(_touch(record)[near].any())
+
+
+def _displaced(record: EpisodeRecord) -> bool:
+    """Whether the object was tipped or pushed away while the table was there."""
+    if record.window_start == 0:
+        return False
+    first, last = record.T_WO[0], record.T_WO[record.window_start - 1]
+    pushed = np.linalg.norm(last[:2, 3] - first[:2, 3])
+    # What points up in the world, in the object's frame: turning about the vertical is no tipping.
+    tipped = np.arccos(np.clip(first[2, :3] @ last[2, :3], -1.0, 1.0))
+    return bool(pushed > PUSHED_M or tipped > TIPPED_RAD)
+
+
+def _slid_before(record: EpisodeRecord, lost: int) -> bool:
+    """Whether the object had slid in the hand well before the loss."""
+    before = lost - round(SUDDEN_S / record.dt)
+    reference = max(record.window_start - 1, 0)
+    if before <= reference:
+        return False
+    offset = record.T_WO[:, :3, 3] - record.T_WH[:, :3, 3]
+    place = np.einsum("tji,tj->ti", record.T_WH[[reference, before], :3, :3], offset[[reference, before]])
+    return bool(np.linalg.norm(place[1] - place[0]) > SLID_M)
+
+
+def counts(rows: Sequence[Mapping[str, Any]]) -> dict[str, int]:
+    """How many rows (of `summary.label_row`) were held and failed in each class, every class named."""
+    found = dict.fromkeys(("held", *KINDS), 0)
+    for row in rows:
+        found[row.get("failure", "held")] += 1
+    return found
+
+
+def held_over_time(rows: Sequence[Mapping[str, Any]], window_s: float, dt: float) -> tuple[Array, dict[str, Array]]:
+    """Times (K,) in s after the table went, and for each object the share (K,) of its labels not yet lost.
+
+    The first entry is at 0, the last at the window's end, where the share is the object's success.
+    """
+    times = np.arange(round(window_s / dt) + 1) * dt
+    groups: dict[str, list[float]] = {}
+    for row in rows:
+        groups.setdefault(row["object"], []).append(row.get("lost_s", np.inf))
+    # A loss counts from its own step on; the half step is for the last bits of the times.
+    return times, {name: (np.array(lost)[:, None] > times + 0.5 * dt).mean(axis=0) for name, lost in groups.items()}
+
+
+def report(rows: Sequence[Mapping[str, Any]], window_s: float, dt: float) -> dict[str, Any]:
+    """`failures` and `held_over_time` for the JSON: counts in all and per object, and shares over time."""
+    times, shares = held_over_time(rows, window_s, dt)
+    lost = {name: [row for row in rows if row["object"] == name] for name in shares}
+    sizes = np.array([len(group) for group in lost.values()])
+    table = np.array(list(shares.values()))
+    return {
+        "failures": {"all": counts(rows), "per_object": {name: counts(group) for name, group in lost.items()}},
+        "held_over_time": {
+            "t_s": np.round(times, 5).tolist(),
+            "mean_over_objects": np.round(table.mean(axis=0), 5).tolist(),
+            "mean_over_labels": np.round(sizes @ table / sizes.sum(), 5).tolist(),
+        },
+    }

@@ -1,0 +1,201 @@
+"""The experiment of motion synthesis: grasp, leave out what is not stable, move to targets, measure where it ended."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from dgrasp.baselines.static_grasp import StaticGrasp
+from dgrasp.config import Config
+from dgrasp.data import DataChoice
+from dgrasp.errors import ConfigError, DataError
+from dgrasp.eval import metrics
+from dgrasp.eval.evaluator import Cost, Progress, evaluate, grasp_steps, run_episodes
+from dgrasp.eval.method import Method, PolicyMethod
+from dgrasp.eval.summary import Result, Row, summarise
+from dgrasp.motion.files import read_targets
+from dgrasp.motion.paths import PATHS
+from dgrasp.motion.targets import EASY_FILE, TargetSet, draw_targets, easy_targets, ood_targets
+from dgrasp.pool import Pool, PoolSpec, make_pool
+from dgrasp.types import Array, EpisodeRecord
+
+FLOOR = 0.0
+"""m. Height of the ground that the authors' table stands on; here there is none, so an episode ends at it."""
+ON_FLOOR = "object fell to the floor"
+
+
+@dataclass(frozen=True)
+class Motions:
+    """What an experiment gave. records, targets: episodes and the places of their targets in the set, by label and then
+    by target. stable: (n_labels,) bool, which grasps passed the stability test. poses_per_target: 1 unless it moves.
+    """
+
+    records: list[EpisodeRecord]
+    targets: list[int]
+    stable: Array
+    steps: int
+    poses_per_target: int
+    cost: Cost
+    events: list[str]
+
+
+def usual_set(choice: DataChoice) -> str:
+    """The targets that are taken where none are named: the authors' where their file is, else the own ones."""
+    return "easy" if (choice.root / "labels" / EASY_FILE).is_file() else "ood"
+
+
+def choose_targets(config: Config, choice: DataChoice) -> TargetSet:
+    """The set that `motion.targets` names; `DataError` where it is not there."""
+    name, period = config.motion.targets, config.control_period
+    if name == "easy":
+        path = choice.root / "labels" / EASY_FILE
+        if not path.is_file():
+            raise DataError(f"{path}: no such file; the authors' targets come with their labels: give such a folder "
+                            "with --data, or choose other targets, such as --motion ood")
+        return easy_targets(path)
+    if name == "ood":
+        return ood_targets(config.seed)
+    if name in PATHS:
+        return PATHS[name](period)
+    path = Path(str(name)).expanduser()
+    if not path.is_file():
+        raise DataError(f"motion.targets: {str(name)!r} is neither easy, ood, {', '.join(PATHS)} nor a file")
+    return read_targets(path, period)
+
+
+def run_motions(
+    spec: PoolSpec, method: Method, targets: TargetSet, progress: Progress | None = None
+) -> Motions:
+    """Move the labels of `spec` to targets. `DataError` if no grasp is stable."""
+    config, motion = spec.config, spec.config.motion
+    per_label = motion.per_label
+    if per_label is None and targets.name in ("easy", "ood"):
+        per_label = 1
+    which = draw_targets(len(targets.T), len(spec.labels), per_label, np.random.default_rng(config.seed))
+    steps = max(motion.steps, targets.T.shape[1])
+    episode = grasp_steps(method, config) + steps
+    test_steps = grasp_steps(method, config) + max(1, round(config.eval.window_s / config.control_period))
+    total = len(which) * episode + (test_steps if motion.stable_alone else 0)
+    stable, costs, events, done = np.ones(len(spec.labels), bool), [], [], 0
+    if motion.stable_alone:
+        pool = make_pool(spec)
+        try:
+            tested, cost = evaluate(pool, method, config, config.eval.window_s, _shifted(progress, 0, total))
+            events += pool.drain_events()
+        finally:
+            pool.close()
+        stable[:] = [metrics.success(record, config.eval.window_s) for record in tested]
+        costs, done = [cost], test_steps
+        if not stable.any():
+            raise DataError(f"none of the {len(stable)} grasps passes the stability test of {config.eval.window_s:g} s, "
+                            "so there is nothing to move; motion.stable_alone=false moves them all the same")
+    spec = dataclasses.replace(spec, labels=[label for label, ok in zip(spec.labels, stable, strict=True) if ok])
+    rounds = []
+    pool = make_pool(spec)
+    try:
+        for row in which[:, stable]:
+            path = targets.place(row, spec.labels)
+            records, cost = move(pool, method, config, path, steps, _shifted(progress, done, total))
+            rounds.append(records)
+            costs.append(cost)
+            done += episode
+        events += pool.drain_events()
+    finally:
+        pool.close()
+    return Motions(
+        [records[i] for i in range(len(spec.labels)) for records in rounds],
+        which[:, stable].T.ravel().tolist(), stable, steps, targets.T.shape[1], _sum(costs), events,
+    )  # fmt: skip
+
+
+def move(
+    pool: Pool, method: Method, config: Config, path: Array, steps: int, progress: Progress | None = None
+) -> tuple[list[EpisodeRecord], Cost]:
+    """One episode per label: the grasp, then `steps` control steps along the targets path (N, P, 4, 4)."""
+    grasp = grasp_steps(method, config)
+    fingers = config.motion.static_fingers if isinstance(method, StaticGrasp) else "policy"
+    begin = partial(pool.begin_motion, path, fingers)
+    recorder, cost = run_episodes(pool, method, grasp + steps, grasp, begin, progress)
+    records = recorder.records(grasp, config.control_period, with_target=True)
+    return [until_floor(record) for record in records], cost
+
+
+def until_floor(record: EpisodeRecord) -> EpisodeRecord:
+    """The episode up to and with the step of its motion in which the object reached the floor, where it would lie."""
+    fallen = np.flatnonzero(record.T_WO[record.window_start :, 2, 3] <= FLOOR)
+    if not fallen.size:
+        return record
+    stop = record.window_start + int(fallen[0]) + 1
+    values = {field.name: getattr(record, field.name) for field in dataclasses.fields(record)}
+    arrays = {name: value[:stop] for name, value in values.items() if isinstance(value, np.ndarray)}
+    return dataclasses.replace(record, terminated=ON_FLOOR, **arrays)
+
+
+def motion_row(record: EpisodeRecord, target: int, follows: bool) -> Row:
+    """The metrics of one motion: object, index, target (its place in the set), MPE, geodesic error, whether the object
+    was carried to the end; of a trajectory (follows) also the mean errors on the way."""
+    row: Row = {"object": record.label.object_id, "index": record.label.index, "target": target}
+    measured = {"mpe_m": metrics.mpe_m(record), "geodesic_rad": metrics.geodesic_rad(record)}
+    if follows and measured["mpe_m"] is not None:
+        measured["path_mpe_m"] = float(metrics.position_errors_m(record).mean())
+        measured["path_geodesic_rad"] = float(metrics.geodesic_errors_rad(record).mean())
+    row.update({name: value for name, value in measured.items() if value is not None})
+    row["carried"] = not record.terminated and bool(record.contacts[-1].any() and not record.table_contact[-1])
+    if record.terminated:
+        row["terminated"] = record.terminated
+    return row
+
+
+def motion_result(
+    motions: Motions, method: Method, config: Config, choice: DataChoice, targets: TargetSet, labels: Sequence[Any]
+) -> Result:
+    """The result of an experiment on the chosen labels, beside the paper's where they compare."""
+    rows = [
+        motion_row(record, target, motions.poses_per_target > 1)
+        for record, target in zip(motions.records, motions.targets, strict=True)
+    ]
+    motion = config.motion
+    about = {
+        "targets": targets.name,
+        "n_targets": len(targets.T),
+        "steps": motions.steps,
+        "beta": {"position": motion.beta_position, "rotation": motion.beta_rotation,
+                 "ramp_position": motion.ramp_position, "ramp_rotation": motion.ramp_rotation},
+        "fingers": motion.static_fingers if isinstance(method, StaticGrasp) else "policy",
+        "grasp": method.grasp.name if isinstance(method, StaticGrasp) else method.name,
+        "n_grasps": len(motions.stable),
+        "n_stable": int(motions.stable.sum()) if motion.stable_alone else None,
+        "left_out": [f"{label.object_id}[{label.index}]" for label, ok in zip(labels, motions.stable, strict=True)
+                     if not ok],
+    }
+    if not motion.stable_alone:
+        del about["n_stable"], about["left_out"]
+    return summarise(
+        rows, method=method.name, engine=config.engine, window_s=config.eval.window_s, seed=config.seed,
+        data=choice.stamp(), cost=motions.cost, motion=about,
+    )  # fmt: skip
+
+
+def check_method(method: Method) -> None:
+    """`ConfigError` for a method that makes no grasp to move: only policies and the static grasp do."""
+    if not isinstance(method, (PolicyMethod, StaticGrasp)):
+        raise ConfigError(f"--motion: {method.name} holds a pose and moves nothing; expected --policy, --run, or "
+                          "--baseline static_grasp")
+
+
+def _shifted(progress: Progress | None, done: int, total: int) -> Progress | None:
+    """Progress of a part, told as progress of the whole."""
+    return None if progress is None else lambda step, _: progress(done + step, total)
+
+
+def _sum(costs: Sequence[Cost]) -> Cost:
+    wall = sum(cost["wall_s"] for cost in costs)
+    physics = sum(cost["wall_s"] * cost["physics_share"] for cost in costs)
+    return {"control_steps": sum(cost["control_steps"] for cost in costs), "wall_s": wall,
+            "physics_share": physics / max(wall, 1e-9)}

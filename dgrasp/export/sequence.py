@@ -1,0 +1,194 @@
+"""Evaluated sequences on disk: one .npz for each, whole in itself, written by `test.py --records DIR`.
+
+Members (T control steps; m, rad, s, world frame with z up; float32 unless said otherwise):
+`meta` a JSON text: method, engine, window_s, timestep_s, dt, window_start, terminated, table, the label's place, the
+result row, the stamp of the data, and of a hand made from MANO its side and betas;
+`gc` (T, 51), `T_WH`, `T_WO` (T, 4, 4), `joints_W` (T, 21, 3), `contact_impulse` (T, 16) N s per substep, `contacts`
+(T, 16) and `table_contact` (T,) bool, `reward` (T,): as in `EpisodeRecord`; `target_T_WO` (4, 4) or (T, 4, 4) where the
+episode has one; `label_*`: the grasp label, float64;
+`offsets` (16, 3), `mesh_vertices` (V, 3), `mesh_faces` (F, 3) and `mesh_sizes` (17, 2) int32: light meshes of the 16
+parts and the object, one after the other, with each one's numbers of vertices and faces.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from dgrasp.atomic import write_atomic
+from dgrasp.errors import DataError
+from dgrasp.labels.npz_reader import open_npz
+from dgrasp.types import Array, EpisodeRecord, GraspLabel
+from dgrasp.view.meshes import BODIES, DisplayMeshes, Mesh
+
+FORMAT, SCHEMA = "dgrasp-sequence", 1
+MAX_BYTES = 256 * 2**20
+
+_STATES = {
+    "gc": (51,), "T_WH": (4, 4), "T_WO": (4, 4), "joints_W": (21, 3), "contact_impulse": (16,), "contacts": (16,),
+    "table_contact": (), "reward": (),
+}  # fmt: skip
+_LABEL = {"hand_pose": (45,), "T_WH": (4, 4), "T_WO": (4, 4), "joints_W": (21, 3), "goal_contacts": (16,)}
+_MASKS = ("contacts", "table_contact", "goal_contacts")
+_ABOUT = {"method": str, "engine": str, "window_s": float, "timestep_s": float, "dt": float, "window_start": int,
+          "terminated": str, "table": dict, "label": dict, "row": dict, "data": dict}
+
+
+@dataclass(frozen=True, eq=False)
+class StoredSequence:
+    """An evaluated sequence with what draws it.
+
+    about: method, engine, window_s, timestep_s, table ("top_m", "lowered_m"), row (the result's), data (the stamp), and
+    mano: None, or of a hand made from MANO its side, betas and, where known, root_joint (3,) m.
+    """
+
+    record: EpisodeRecord
+    meshes: DisplayMeshes
+    about: dict[str, Any]
+
+
+def file_name(label: GraspLabel) -> str:
+    """Such as `004_sugar_box_0003.npz`."""
+    return f"{label.object_id}_{label.index:04d}.npz"
+
+
+def check_folder(folder: Path) -> None:
+    """Raises `DataError` unless sequences can go to `folder`: a new one, or an empty one."""
+    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        raise DataError(f"{folder} exists and is not an empty folder; choose another one, or remove it")
+
+
+def write_folder(folder: Path, sequences: Iterable[StoredSequence]) -> int:
+    """One file for each sequence; returns how many. Raises `DataError` for a folder that is not empty."""
+    check_folder(folder)
+    written: set[str] = set()
+    for sequence in sequences:
+        name = file_name(sequence.record.label)
+        if name in written:
+            # Two sources in one label file may count alike.
+            name = f"{name[:-4]}_{len(written)}.npz"
+        write_sequence(folder / name, sequence)
+        written.add(name)
+    return len(written)
+
+
+def write_sequence(path: Path, sequence: StoredSequence) -> None:
+    """Write one sequence in one step."""
+    record, meshes, label = sequence.record, sequence.meshes, sequence.record.label
+    meta = {
+        "format": FORMAT, "schema": SCHEMA, **sequence.about, "dt": record.dt, "window_start": record.window_start,
+        "terminated": record.terminated,
+        "label": {"object": label.object_id, "index": label.index, "source": label.source, "hand": label.hand,
+                  "on_table": label.on_table},
+    }  # fmt: skip
+    bodies = [*meshes.hand, meshes.object]
+    arrays: dict[str, Array] = {
+        "meta": np.array(json.dumps(meta, allow_nan=False)),
+        **{name: _packed(name, getattr(record, name)) for name in _STATES},
+        **{f"label_{name}": np.asarray(getattr(label, name)) for name in _LABEL},
+        "offsets": np.asarray(meshes.offsets, dtype=np.float64),
+        "mesh_vertices": np.concatenate([mesh.vertices for mesh in bodies]).astype(np.float32),
+        "mesh_faces": np.concatenate([mesh.faces for mesh in bodies]).astype(np.int32),
+        "mesh_sizes": np.array([[len(mesh.vertices), len(mesh.faces)] for mesh in bodies], dtype=np.int32),
+    }
+    if record.target_T_WO is not None:
+        arrays["target_T_WO"] = np.asarray(record.target_T_WO, dtype=np.float32)
+    stream = io.BytesIO()
+    packed: dict[str, Any] = arrays
+    np.savez_compressed(stream, **packed)
+    write_atomic(path, stream.getvalue())
+
+
+def _packed(name: str, values: Array) -> Array:
+    return np.asarray(values) > 0 if name in _MASKS else np.asarray(values, dtype=np.float32)
+
+
+def read_sequence(path: Path) -> StoredSequence:
+    """A sequence that `write_sequence` wrote; a `DataError` says what is wrong with another file."""
+    path = Path(path)
+    with open_npz(path, "stored sequence", MAX_BYTES) as archive:
+        if "meta.npy" not in archive.names:
+            raise DataError(f"{path}: no stored sequence (no member meta); expected a file of `test.py --records DIR`")
+        meta = _meta(path, archive.read("meta", "U"))
+        required = [*_STATES, *(f"label_{name}" for name in _LABEL), "offsets", "mesh_vertices", "mesh_faces",
+                    "mesh_sizes"]
+        lacking = [name for name in required if f"{name}.npy" not in archive.names]
+        if lacking:
+            raise DataError(f"{path}: lacks {', '.join(lacking)}; write it anew with `test.py --records DIR`")
+        a = {name: archive.read(name, "biuf") for name in required}
+        target = archive.read("target_T_WO", "f") if "target_T_WO.npy" in archive.names else None
+    steps = len(a["gc"]) if a["gc"].ndim else 0
+    shapes = {**{name: (steps, *shape) for name, shape in _STATES.items()},
+              **{f"label_{name}": shape for name, shape in _LABEL.items()},
+              "offsets": (16, 3), "mesh_sizes": (len(BODIES), 2)}
+    for name, shape in shapes.items():
+        if a[name].shape != shape:
+            raise DataError(f"{path}: {name} has shape {a[name].shape}; expected {shape}; write the file anew")
+    if target is not None and target.shape not in ((4, 4), (steps, 4, 4)):
+        raise DataError(f"{path}: target_T_WO has shape {target.shape}; expected (4, 4) or {(steps, 4, 4)}")
+    if not steps:
+        raise DataError(f"{path}: the sequence has no steps: its simulation broke at once")
+    place = meta["label"]
+    label = GraspLabel(
+        object_id=str(place["object"]), hand_pose=a["label_hand_pose"], T_WH=a["label_T_WH"], T_WO=a["label_T_WO"],
+        joints_W=a["label_joints_W"], goal_contacts=a["label_goal_contacts"] > 0, start=None, hand=str(place["hand"]),
+        source=str(place["source"]), index=int(place["index"]), on_table=bool(place["on_table"]),
+    )  # fmt: skip
+    states: dict[str, Any] = {name: a[name].astype(bool if name == "table_contact" else float) for name in _STATES}
+    record = EpisodeRecord(
+        label=label, **states, window_start=meta["window_start"], dt=meta["dt"], terminated=meta["terminated"],
+        target_T_WO=None if target is None else target.astype(np.float64),
+    )  # fmt: skip
+    meshes = _meshes(path, a["mesh_vertices"], a["mesh_faces"], a["mesh_sizes"])
+    about = {key: meta[key] for key in ("method", "engine", "window_s", "timestep_s", "table", "row", "data")}
+    return StoredSequence(record, DisplayMeshes(a["offsets"], tuple(meshes[:-1]), meshes[-1]),
+                          {**about, "mano": meta.get("mano")})
+
+
+def _meta(path: Path, text: Array) -> dict[str, Any]:
+    try:
+        meta = json.loads(str(text[()])) if text.shape == () else None
+    except (ValueError, RecursionError):
+        meta = None
+    if not isinstance(meta, dict) or meta.get("format") != FORMAT:
+        raise DataError(f"{path}: no stored sequence; expected a file of `test.py --records DIR`")
+    if meta.get("schema") != SCHEMA:
+        raise DataError(f"{path}: schema {meta.get('schema')}; this program reads {SCHEMA}; write the file anew with "
+                        "`test.py --records DIR`")
+    wrong = [key for key, kind in _ABOUT.items() if not isinstance(meta.get(key), kind)]
+    if wrong or {"object", "index", "source", "hand", "on_table"} - set(meta["label"]) or not meta["dt"] > 0.0:
+        raise DataError(f"{path}: its description is incomplete ({', '.join(wrong) or 'label, dt'}); write it anew")
+    return meta
+
+
+def _meshes(path: Path, vertices: Array, faces: Array, sizes: Array) -> list[Mesh]:
+    if vertices.ndim != 2 or faces.ndim != 2 or vertices.shape[1] != 3 or faces.shape[1] != 3 or (sizes < 0).any() or (
+        tuple(sizes.sum(axis=0)) != (len(vertices), len(faces))
+    ):
+        raise DataError(f"{path}: mesh_sizes do not add up to mesh_vertices and mesh_faces; write the file anew")
+    meshes: list[Mesh] = []
+    v = f = 0
+    for n_vertices, n_faces in sizes.tolist():
+        own = faces[f : f + n_faces]
+        if n_faces and not 0 <= own.min() <= own.max() < n_vertices:
+            raise DataError(f"{path}: a face of {BODIES[len(meshes)]} has a vertex that is not there")
+        meshes.append(Mesh(vertices[v : v + n_vertices].astype(np.float64), own.astype(np.int64)))
+        v, f = v + n_vertices, f + n_faces
+    return meshes
+
+
+def sequence_files(source: Path) -> list[Path]:
+    """The stored sequences that `source` names: a file, or all .npz of a folder."""
+    if os.path.isfile(source):
+        return [source]
+    found: Sequence[Path] = sorted(source.glob("*.npz")) if os.path.isdir(source) else []
+    if not found:
+        raise DataError(f"{source}: no stored sequences; expected a file, or a folder of `test.py --records DIR`")
+    return list(found)

@@ -1,0 +1,136 @@
+"""Objects that `dgrasp object add` wrote: a folder per object, found by name, refused where it was changed later.
+
+A folder holds `object.json` (what it was made of, mass, shapes, figures), `mesh.obj` (the repaired surface in O, m),
+what else the shapes need, and `picture.png`. O is the frame of the file that was added.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import os
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+
+from dgrasp.errors import DataError
+from dgrasp.objects.model import ObjectModel
+from dgrasp.objects.parts import convex_parts
+from dgrasp.paths import user_data_root
+from dgrasp.types import Array
+from raisim_like.shapes import Kind, Shape
+
+META_FILE, MESH_FILE, PICTURE_FILE = "object.json", "mesh.obj", "picture.png"
+FORMAT, SCHEMA = "dgrasp-object", 1
+NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.+-]{0,99}")
+"""Names as label files take them."""
+_SIZES = {"box": 3, "cylinder": 2, "capsule": 2, "sphere": 1, "hull": 0, "mesh": 0}
+
+
+def default_store() -> Path:
+    """Where objects are added to and looked for unless another folder is named."""
+    return user_data_root() / "objects"
+
+
+def find_object(name: str, folders: Sequence[Path]) -> Path:
+    """The folder of an added object, in the first of `folders` that has it; a `DataError` says where it was looked for."""
+    for folder in folders:
+        if os.path.isfile(folder / name / META_FILE):
+            return folder / name
+    there = sorted({p.parent.name for folder in folders if os.path.isdir(folder) for p in folder.glob(f"*/{META_FILE}")})
+    raise DataError(f"unknown object {name!r}: none of the 20, and not in {' or '.join(str(f) for f in folders)} (there: "
+                    f"{', '.join(there[:20]) or 'nothing'}); add its mesh with `dgrasp object add MESH --name {name}`, "
+                    "or name its folder with objects=DIR")
+
+
+def load_object(folder: Path, official_compat: bool, parts: bool = False) -> ObjectModel:
+    """The model of an added object.
+
+    official_compat: 1 kg m^2 about every axis, as the authors simulate theirs; mass and centre of mass stay its own.
+    parts: cut a mesh that collides into convex parts. Raises `DataError` where the folder is damaged or was changed.
+    """
+    meta = read_meta(folder)
+    shapes = tuple(_shape(entry, folder) for entry in meta["shapes"])
+    if parts and shapes[0].kind == "mesh" and shapes[0].file is not None:
+        shapes = convex_parts(shapes[0].file)
+    inertia = np.eye(3) if official_compat else np.array(meta["inertia"])
+    return ObjectModel(meta["name"], shapes, meta["mass_kg"], np.array(meta["center_of_mass_O"]), inertia,
+                       folder.absolute() / MESH_FILE)
+
+
+def read_meta(folder: Path) -> dict[str, Any]:
+    """The checked description of an added object; its files are what they were when it was added."""
+    path = folder / META_FILE
+    again = "add it again with `dgrasp object add`"
+    try:
+        meta = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError) as error:
+        raise DataError(f"{path}: cannot be read ({str(error)[:200]}); {again}") from None
+    if not isinstance(meta, dict) or meta.get("format") != FORMAT or meta.get("schema") != SCHEMA:
+        raise DataError(f"{path}: not the description of an object (format {FORMAT!r}, schema {SCHEMA}); {again}")
+    try:
+        _check(meta, folder)
+    except (AttributeError, LookupError, TypeError, ValueError):
+        raise DataError(f"{path}: the description is incomplete or has values out of range; {again}") from None
+    for name, digest in meta["files"].items():
+        if not os.path.isfile(folder / name) or file_digest(folder / name) != digest:
+            raise DataError(f"{folder}: {name} is missing or was changed after the object was added; {again}")
+    return meta
+
+
+def file_digest(path: Path) -> str:
+    """SHA-256 of a file of an object, hexadecimal."""
+    return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+def _check(meta: dict[str, Any], folder: Path) -> None:
+    """Raise one of the errors that `read_meta` catches unless the description can be built from."""
+    files = meta["files"]
+    _require(NAME.fullmatch(meta["name"]) and meta["name"] == folder.absolute().name and isinstance(meta["id"], str))
+    _require(all(NAME.fullmatch(name) and isinstance(digest, str) for name, digest in files.items()))
+    _require(MESH_FILE in files and meta["shapes"])
+    check_mass(meta["mass_kg"], np.array(meta["center_of_mass_O"], dtype=float), np.array(meta["inertia"], dtype=float))
+    for entry in meta["shapes"]:
+        kind, size = entry["kind"], entry["size"]
+        _require(len(size) == _SIZES[kind] and len(entry["position"]) == 3 and len(entry["quaternion"]) == 4)
+        _require(all(math.isfinite(v) for v in [*size, *entry["position"], *entry["quaternion"]]))
+        _require(all(v > 0 for v in size) and abs(np.linalg.norm(entry["quaternion"]) - 1.0) < 1e-6)
+        _require(entry["file"] in files if kind in ("hull", "mesh") else "file" not in entry)
+
+
+def _require(ok: object) -> None:
+    if not ok:
+        raise ValueError("out of range")
+
+
+def check_mass(mass: float, center: Array, inertia: Array) -> None:
+    """Raise ValueError, with the reason, unless these are those of a body: mass kg, center (3,) m, inertia (3, 3) kg m^2
+    about the centre of mass."""
+    if not (math.isfinite(mass) and 1e-4 <= mass <= 100.0):
+        raise ValueError(f"a mass of {mass:g} kg; expected 0.1 g to 100 kg")
+    if center.shape != (3,) or not np.isfinite(center).all():
+        raise ValueError("the centre of mass is not three finite numbers")
+    if inertia.shape != (3, 3) or not np.isfinite(inertia).all() or np.abs(inertia - inertia.T).max() > 1e-12:
+        raise ValueError("the inertia is not a symmetric matrix of finite numbers")
+    low, middle, high = np.linalg.eigvalsh(inertia)
+    if low <= 0.0 or high > (low + middle) * (1.0 + 1e-6):
+        raise ValueError(f"no body has the principal moments {low:.3g}, {middle:.3g}, {high:.3g} kg m^2: each is positive "
+                         "and at most the sum of the others")
+
+
+def plain_shape(shape: Shape) -> dict[str, Any]:
+    """A shape as JSON has it; its file by its name in the object's folder."""
+    entry: dict[str, Any] = {"kind": shape.kind, "size": list(shape.size), "position": list(shape.position),
+                             "quaternion": list(shape.quaternion)}
+    return entry if shape.file is None else entry | {"file": shape.file.name}
+
+
+def _shape(entry: dict[str, Any], folder: Path) -> Shape:
+    x, y, z = entry["position"]
+    a, b, c, d = entry["quaternion"]
+    file = folder.absolute() / entry["file"] if "file" in entry else None
+    return Shape(cast(Kind, entry["kind"]), tuple(entry["size"]), (x, y, z), (a, b, c, d), file)

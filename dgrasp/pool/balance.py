@@ -1,0 +1,39 @@
+"""Labels divided over workers by what they were measured to cost: a mug can cost five times a can."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from dgrasp.types import Array
+
+
+def costs(seconds: Array, steps: Array) -> Array:
+    """(N,) seconds per control step of each environment; the mean for those that have made none.
+
+    seconds, steps: (N,) spent and made so far.
+    """
+    made = steps > 0
+    known: Array = np.divide(seconds, steps, out=np.zeros(len(seconds)), where=made)
+    return np.where(made, known, known[made].mean() if made.any() else 1.0)
+
+
+def stretches(cost: Array, workers: int) -> list[slice]:
+    """The set cut into one stretch per worker, each with nearly the same cost and at least one environment.
+
+    Stretches, for an epoch's draw (`labels.per_epoch`) takes the same share of any stretch.
+    """
+    n = len(cost)
+    ends = np.cumsum(cost)
+    # Where the sum is nearest to each worker's share of the whole.
+    wanted = ends[-1] * np.arange(1, workers) / workers
+    cuts = [int(np.abs(ends - share).argmin()) + 1 for share in wanted.tolist()]
+    bounds = [0, *cuts, n]
+    for w in range(1, workers):
+        bounds[w] = min(max(bounds[w], bounds[w - 1] + 1), n - (workers - w))
+    return [slice(a, b) for a, b in zip(bounds[:-1], bounds[1:], strict=True)]
+
+
+def imbalance(cost: Array, rows: list[slice]) -> float:
+    """How much longer the busiest worker takes than the mean: 0 is perfect."""
+    loads = np.array([cost[part].sum() for part in rows])
+    return float(loads.max() / loads.mean() - 1.0)

@@ -1,0 +1,130 @@
+"""Replays for the page's viewer: meshes and poses as base64 of 16-bit numbers, and which episodes are shown.
+
+A mesh: `lo` (3,) and `step` (m) unpack `v` (V x 3, uint16); `f` are faces (F x 3, uint16). A replay of n frames: `p`
+(n x 17 x 3, uint16) are positions by its own `lo` and `step`, `q` (n x 17 x 4, int16) quaternions w, x, y, z times
+32767, `c` (n, uint16) a bit for each part that touches the object. Little endian, bodies as in `view.meshes.BODIES`.
+"""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from dgrasp.eval.summary import Row
+from dgrasp.scene.scene import LOWERED_TOP, TABLE_TOP
+from dgrasp.types import Array, EpisodeRecord
+from dgrasp.view.meshes import DisplayMeshes, Mesh, body_poses
+from raisim_like.rotations import quaternion_from_matrix
+
+SHOWN = 10
+"""Replays at either end of the ranking."""
+MAX_FRAMES = 320
+"""A longer episode is shown with every second step, or every third, ..."""
+REACH = 2.0
+"""m from the wrist's first place: farther bodies are drawn at its edge."""
+
+
+def ranking(rows: Sequence[Row]) -> list[int]:
+    """Places of the rows from the best grasp to the worst.
+
+    Held ones come first, the stillest (SimDist) before the others, or where objects are moved those that end closest to
+    their targets (MPE); then those that were held longer.
+    """
+    def key(i: int) -> tuple[float, float, int]:
+        row = rows[i]
+        off = row.get("mpe_m", row.get("sim_dist_mm_per_step", np.inf))
+        return -float(row.get("lost_s", np.inf)), float(off), i
+
+    return sorted(range(len(rows)), key=key)
+
+
+def chosen(rows: Sequence[Row]) -> tuple[list[int], list[int]]:
+    """The `SHOWN` worst, worst first, and the `SHOWN` best, best first; none is in both."""
+    order = ranking(rows)
+    best = order[: min(SHOWN, (len(order) + 1) // 2)]
+    worst = order[len(best) :][-SHOWN:]
+    return worst[::-1], best
+
+
+def pack(
+    shown: Sequence[tuple[str, EpisodeRecord, Row]], meshes: Mapping[str, DisplayMeshes]
+) -> dict[str, Any]:
+    """What the page carries for episodes (group, record, row), with the meshes of their objects; plain JSON values."""
+    first = next(iter(meshes.values()))
+    return {
+        "hand": [_mesh(part) for part in first.hand],
+        "objects": {name: _mesh(of.object) for name, of in meshes.items()},
+        "table": {"on": TABLE_TOP, "lowered": LOWERED_TOP},
+        "replays": [_replay(group, record, row, meshes[record.label.object_id]) for group, record, row in shown],
+    }
+
+
+def _replay(group: str, record: EpisodeRecord, row: Row, meshes: DisplayMeshes) -> dict[str, Any]:
+    stride = -(-len(record.gc) // MAX_FRAMES)
+    R, t = body_poses(meshes, record)
+    R, t = _whole(R)[::stride], _whole(t)[::stride]
+    centre = t[0, 0]
+    t = np.clip(t, centre - REACH, centre + REACH)
+    q = quaternion_from_matrix(R)
+    # Neighbours on the same side, so that the viewer can blend between them.
+    flips = np.cumprod(np.where((q[1:] * q[:-1]).sum(axis=-1, keepdims=True) < 0.0, -1.0, 1.0), axis=0)
+    q[1:] *= flips
+    lo, step, places = _quantised(t)
+    bits = (np.asarray(record.contacts)[::stride] > 0.0) @ (1 << np.arange(16))
+    shown = ("sim_dist_mm_per_step", "contact_ratio", "interpenetration_cm3", "mpe_m", "geodesic_rad")
+    return {
+        "group": group, "object": row["object"], "index": row["index"],
+        "failure": row.get("failure"), "lost_s": row.get("lost_s"),
+        "metrics": {name: row[name] for name in shown if name in row},
+        "n": len(t), "dt": record.dt * stride, "start": (record.window_start - 1) / stride,
+        "yaw": round(_yaw(record), 3), "target": [round(float(x), 4) for x in _target(record)],
+        "lo": lo, "step": step, "p": _text(places, "<u2"), "q": _text(np.rint(q * 32767.0), "<i2"),
+        "c": _text(bits, "<u2"),
+    }  # fmt: skip
+
+
+def _whole(values: Array) -> Array:
+    """The values with broken steps replaced by the last whole one: a breaking simulation may leave NaN."""
+    fine = np.isfinite(values).reshape(len(values), -1).all(axis=1)
+    last = np.maximum.accumulate(np.where(fine, np.arange(len(values)), 0))
+    return np.nan_to_num(values[last])
+
+
+def _target(record: EpisodeRecord) -> Array:
+    """(3,) m: what the camera turns about: between wrist and object when the table goes, and a little below."""
+    step = min(max(record.window_start - 1, 0), len(record.gc) - 1)
+    between = 0.65 * record.T_WO[step, :3, 3] + 0.35 * record.T_WH[step, :3, 3]
+    return np.nan_to_num(between - np.array([0.0, 0.0, 0.05]))
+
+
+def _yaw(record: EpisodeRecord) -> float:
+    """Direction, rad about z, from which palm and object are both seen: from the side, rather the palm's."""
+    step = min(max(record.window_start - 1, 0), len(record.gc) - 1)
+    T_WH = np.nan_to_num(record.T_WH[step])
+    palm = -T_WH[:2, 1]
+    along = np.nan_to_num(record.T_WO[step, :2, 3]) - T_WH[:2, 3]
+    aside = np.array([-along[1], along[0]]) / max(float(np.linalg.norm(along)), 0.05)
+    view = 0.8 * palm + aside * (1.0 if aside @ palm >= 0.0 else -1.0)
+    return float(np.arctan2(view[1], view[0])) if np.linalg.norm(view) > 1e-6 else -0.7
+
+
+def _mesh(mesh: Mesh) -> dict[str, Any]:
+    lo, step, places = _quantised(np.asarray(mesh.vertices))
+    return {"lo": lo, "step": step, "v": _text(places, "<u2"), "f": _text(mesh.faces, "<u2")}
+
+
+def _quantised(points: Array) -> tuple[list[float], float, Array]:
+    """Lowest corner (3,) m, step in m, and points (..., 3) as whole numbers of steps from it, up to 65535."""
+    flat = points.reshape(-1, 3)
+    if not len(flat):
+        return [0.0, 0.0, 0.0], 1.0, points
+    lo = flat.min(axis=0)
+    step = max(float((flat.max(axis=0) - lo).max()) / 65535.0, 1e-9)
+    return [round(float(x), 7) for x in lo], step, np.rint((points - lo) / step)
+
+
+def _text(values: Array, dtype: str) -> str:
+    return base64.b64encode(np.ascontiguousarray(values).astype(dtype).tobytes()).decode("ascii")

@@ -1,0 +1,96 @@
+"""What viewers draw: light meshes of the 16 hand parts and of the object, and where they are at each step."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from dgrasp.geometry.intersection import Body, join
+from dgrasp.hand.model import HandModel
+from dgrasp.hand.skeleton import N_PARTS, PARTS
+from dgrasp.hand.surface import rigid_surface
+from dgrasp.labels.distance import part_poses
+from dgrasp.types import Array, EpisodeRecord
+
+PART_FACES, OBJECT_FACES = 320, 2500
+"""Most triangles of a hand part and of an object."""
+BODIES = (*PARTS, "object")
+"""The rigid bodies of a replay: the hand's parts, then the object."""
+
+
+class Mesh(NamedTuple):
+    """vertices (V, 3) m in the body's frame, faces (F, 3) wound outwards."""
+
+    vertices: Array
+    faces: Array
+
+
+@dataclass(frozen=True, eq=False)
+class DisplayMeshes:
+    """A hand and an object to draw.
+
+    offsets: (16, 3) m as in `HandModel`. hand: the parts' meshes in their frames, order of `skeleton.PARTS`; a part
+    without a shape has no faces. object: in O.
+    """
+
+    offsets: Array
+    hand: tuple[Mesh, ...]
+    object: Mesh
+
+
+def hand_meshes(hand: HandModel) -> tuple[Mesh, ...]:
+    """The 16 parts' meshes, of at most `PART_FACES` triangles each."""
+    surface = rigid_surface(hand)
+    parts = [surface.local(part) for part in range(N_PARTS)]
+    none = Mesh(np.zeros((0, 3)), np.zeros((0, 3), dtype=np.int64))
+    return tuple(light(join(bodies), PART_FACES) if bodies else none for bodies in parts)
+
+
+def light(body: Body, limit: int) -> Mesh:
+    """The surface of a body with at most about `limit` triangles.
+
+    A solid is simplified within a tolerance, the smallest of 0.1 mm times a power of 2 that is enough; where that fails
+    or the body is no solid, vertices are merged in cubes.
+    """
+    mesh = Mesh(*body.surface())
+    size = float(np.ptp(mesh.vertices, axis=0).max())
+    tolerance = 1e-4
+    while body.solid is not None and len(mesh.faces) > limit and tolerance < 0.05 * size:
+        triangles = body.solid.simplify(tolerance).to_mesh64()
+        if len(triangles.tri_verts):
+            mesh = Mesh(np.asarray(triangles.vert_properties)[:, :3], np.asarray(triangles.tri_verts, dtype=np.int64))
+        tolerance *= 2.0
+    cell = size / 128.0
+    full = mesh
+    while len(mesh.faces) > limit:
+        mesh = merged(full, cell)
+        cell *= 1.25
+    return mesh
+
+
+def merged(mesh: Mesh, cell: float) -> Mesh:
+    """The mesh with all vertices in a cube of side `cell` (m) drawn together to their mean."""
+    cubes = np.floor(mesh.vertices / cell).astype(np.int64)
+    _, owner = np.unique(cubes, axis=0, return_inverse=True)
+    owner = owner.reshape(-1)
+    count = np.bincount(owner)
+    vertices = np.stack([np.bincount(owner, weights=mesh.vertices[:, k]) / count for k in range(3)], axis=1)
+    faces = owner[mesh.faces]
+    a, b, c = faces.T
+    faces = faces[(a != b) & (b != c) & (c != a)]
+    used, faces = np.unique(faces, return_inverse=True)
+    return Mesh(vertices[used], faces.reshape(-1, 3))
+
+
+def body_poses(meshes: DisplayMeshes, record: EpisodeRecord) -> tuple[Array, Array]:
+    """World rotations (T, 17, 3, 3) and positions (T, 17, 3) m of `BODIES` at each step."""
+    R, t = part_poses(meshes, record.T_WH, record.gc[:, 6:])
+    return (np.concatenate([R, record.T_WO[:, None, :3, :3]], axis=1),
+            np.concatenate([t, record.T_WO[:, None, :3, 3]], axis=1))
+
+
+def table_tops(record: EpisodeRecord, on: float, lowered: float) -> Array:
+    """(T,) m: height of the table's top during each step."""
+    return np.where(np.arange(len(record.gc)) < record.window_start, on, lowered)

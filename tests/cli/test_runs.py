@@ -1,0 +1,125 @@
+"""`dgrasp runs`, and runs as real processes: pre-empted, killed, started twice."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+import torch
+
+from dgrasp.cli import main, run_command
+from dgrasp.paths import shipped_root
+from dgrasp.rl import checkpoint
+from dgrasp.rl.lock import is_running, only_run
+from tests.cli.folder import make_folder
+
+SHORT = ["env.episode_steps=6", "env.grasp_steps=3", "physics.substeps=1", "ppo.minibatches=1", "ppo.update_epochs=1",
+         "eval.window_s=0.06", "eval.gif=false", "checkpoint.every=1", "ppo.hidden=[8]"]  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return make_folder(tmp_path_factory.mktemp("data") / "free")
+
+
+def _train(folder: Path, run: Path, *words: str) -> subprocess.Popen[str]:
+    command = [sys.executable, "train.py", "--data", str(folder), "--run", str(run), *SHORT, *words]
+    environment = {**os.environ, "OMP_NUM_THREADS": "1"}
+    return subprocess.Popen(command, cwd=shipped_root(), stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True,
+                            env=environment)  # fmt: skip
+
+
+def _wait_for_epoch(run: Path, epoch: int, process: subprocess.Popen[str]) -> None:
+    deadline = time.monotonic() + 180
+    while not checkpoint.saved(run) or int(checkpoint.latest(run).stem) < epoch:
+        assert process.poll() is None and time.monotonic() < deadline
+        time.sleep(0.1)
+
+
+def test_sigterm_saves_and_ends_well(folder: Path, tmp_path: Path) -> None:
+    process = _train(folder, tmp_path / "run", "ppo.epochs=100000", "eval.every=100000", "pool.workers=2")
+    _wait_for_epoch(tmp_path / "run", 1, process)
+    assert is_running(tmp_path / "run")
+    process.terminate()
+    _, message = process.communicate(timeout=60)
+    assert process.returncode == 0 and "--resume" in message and "Traceback" not in message
+    assert not is_running(tmp_path / "run")
+    checkpoint.load(checkpoint.latest(tmp_path / "run"))
+
+
+@pytest.mark.parametrize("engine", ["pybullet", "mujoco"])
+def test_after_a_kill_the_weights_are_those_of_a_run_that_never_stopped(
+    folder: Path, tmp_path: Path, engine: str
+) -> None:
+    pytest.importorskip(engine)
+    words = ["eval.every=100000", "pool.kind=serial", f"engine={engine}", "physics.substeps=2"]
+    process = _train(folder, tmp_path / "killed", "ppo.epochs=100000", *words)
+    _wait_for_epoch(tmp_path / "killed", 2, process)
+    process.kill()
+    process.communicate(timeout=60)
+    assert process.returncode == -signal.SIGKILL
+    end = int(checkpoint.latest(tmp_path / "killed").stem) + 2
+    assert run_command("train", ["--resume", str(tmp_path / "killed"), f"ppo.epochs={end}"]) == 0
+    straight = ["--data", str(folder), "--run", str(tmp_path / "straight"), *SHORT, f"ppo.epochs={end}", *words]
+    assert run_command("train", straight) == 0
+    a, b = (checkpoint.load(checkpoint.latest(tmp_path / name)) for name in ("killed", "straight"))
+    assert a.epoch == b.epoch == end
+    assert all(torch.equal(a.model[name], b.model[name]) for name in b.model)
+
+
+def test_a_run_directory_belongs_to_one_process(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    run = tmp_path / "run"
+    words = ["--data", str(folder), "--run", str(run), *SHORT, "ppo.epochs=1", "pool.kind=serial"]
+    assert run_command("train", words) == 0
+    with only_run(run):
+        assert is_running(run)
+        # flock tells apart opened files, not processes, so that this process may stand for another.
+        assert run_command("train", ["--resume", str(run), "ppo.epochs=2"]) == 2
+    assert "another process is training there" in capsys.readouterr().err
+    assert checkpoint.load(checkpoint.latest(run)).epoch == 1
+
+
+def test_the_best_checkpoint_is_kept_and_can_be_tested(folder: Path, tmp_path: Path) -> None:
+    run = tmp_path / "run"
+    words = ["--data", str(folder), "--run", str(run), *SHORT, "ppo.epochs=2", "eval.every=1", "pool.kind=serial"]
+    assert run_command("train", words) == 0
+    best = checkpoint.load(run / "best.pt")
+    assert best.best_success == checkpoint.load(checkpoint.latest(run)).best_success
+    assert [path.name for path in checkpoint.saved(run)] == ["000001.pt", "000002.pt"]
+    assert run_command("test", ["--policy", str(run / "best.pt"), "--data", str(folder), *SHORT, "pool.kind=serial"]) == 0
+
+
+def test_runs_are_listed_and_compared(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    header = "epoch,control_steps,seconds,core_hours,return,success\n"
+    for name, seed, rows in (("a", 1, "0,0,1.0,0.0,,0.1\n10,1000,60.0,0.5,-3,0.4\n20,2000,120.0,1.0,-2,0.3\n"),
+                             ("b", 2, "0,0,1.0,0.0,,0.2\n10,1000,50.0,0.25,-3,0.6\n")):
+        run = tmp_path / name
+        (run / "checkpoints").mkdir(parents=True)
+        (run / "checkpoints" / "000010.pt").touch()
+        (run / "config.yaml").write_text(f"seed: {seed}\nppo: {{epochs: 20}}\n")
+        (run / "data.json").write_text('{"kind": "free", "split": "train"}')
+        (run / "progress.csv").write_text(header + rows)
+    (tmp_path / "new").mkdir()
+    (tmp_path / "new" / "config.yaml").write_text("engine: mujoco\n")
+    assert main(["runs", str(tmp_path)]) == 0
+    lines = [line.split() for line in capsys.readouterr().out.splitlines() if line.strip()]
+    assert lines[1] == ["a", "finished", "free", "train", "pybullet", "all", "20/20", "2,000", "1.00", "0.300", "0.400"]
+    assert lines[2] == ["b", "stopped", "free", "train", "pybullet", "all", "10/20", "1,000", "0.25", "0.600", "0.600"]
+    assert lines[3] == ["new", "new", "?", "mujoco", "all", "0/10000", "0", "0.00", "-", "-"]
+    assert main(["runs", str(tmp_path / "a"), str(tmp_path / "b")]) == 0
+    out = capsys.readouterr().out
+    assert ["seed", "1", "2"] in [line.split() for line in out.splitlines()]
+    assert ["1,000", "0.400", "0.600"] in [line.split() for line in out.splitlines()] and "2,000  " not in out.split("success of a")[1]
+
+
+def test_what_is_not_a_run_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["runs", str(tmp_path / "nowhere")]) == 2
+    assert main(["runs", str(tmp_path), str(tmp_path)]) == 2
+    assert "not a run directory" in capsys.readouterr().err
+    assert main(["runs", str(tmp_path)]) == 0
+    assert "no runs there" in capsys.readouterr().out
