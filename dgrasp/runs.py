@@ -14,7 +14,7 @@ from rich.table import Table
 
 from dgrasp.config import Config, load_config
 from dgrasp.errors import ConfigError
-from dgrasp.rl.checkpoint import BEST, saved
+from dgrasp.rl.checkpoint import saved
 from dgrasp.rl.lock import is_running
 from dgrasp.rl.log import CSV_NAME
 
@@ -82,7 +82,8 @@ def read_run(path: Path) -> Run:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The options of `runs`."""
-    parser.add_argument("paths", nargs="*", type=Path, metavar="DIR", help="a folder of runs (default: runs), or two runs")
+    parser.add_argument("paths", nargs="*", type=Path, metavar="DIR",
+                        help="a folder of runs (default: runs), or two runs")
 
 
 def main(arguments: argparse.Namespace) -> int:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 
 from dgrasp.types import Array
@@ -30,7 +32,7 @@ def stretches(cost: Array, workers: int) -> list[slice]:
     bounds = [0, *cuts, n]
     for w in range(1, workers):
         bounds[w] = min(max(bounds[w], bounds[w - 1] + 1), n - (workers - w))
-    return [slice(a, b) for a, b in zip(bounds[:-1], bounds[1:], strict=True)]
+    return [slice(a, b) for a, b in pairwise(bounds)]
 
 
 def imbalance(cost: Array, rows: list[slice]) -> float:

@@ -36,7 +36,7 @@ def _handling(handler: Any) -> Iterator[None]:
 
 
 def interruptible() -> contextlib.AbstractContextManager[None]:
-    """SIGINT raises KeyboardInterrupt and SIGTERM `Preempted`, also in a background job, which starts with SIGINT ignored."""
+    """SIGINT raises KeyboardInterrupt, SIGTERM `Preempted`; in a background job too, which starts ignoring SIGINT."""
     return _handling(_interrupt)
 
 

@@ -19,7 +19,7 @@ NAME = ".lock"
 
 @contextlib.contextmanager
 def only_run(run_dir: Path) -> Iterator[None]:
-    """Holds the run directory; `ConfigError` if another process does. The lock ends with its process, however that ends."""
+    """Holds the run directory; `ConfigError` if another process does. The lock ends with its process, in any way."""
     if fcntl is None:
         yield
         return

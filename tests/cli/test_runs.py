@@ -72,7 +72,9 @@ def test_after_a_kill_the_weights_are_those_of_a_run_that_never_stopped(
     assert all(torch.equal(a.model[name], b.model[name]) for name in b.model)
 
 
-def test_a_run_directory_belongs_to_one_process(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_run_directory_belongs_to_one_process(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     run = tmp_path / "run"
     words = ["--data", str(folder), "--run", str(run), *SHORT, "ppo.epochs=1", "pool.kind=serial"]
     assert run_command("train", words) == 0
@@ -91,7 +93,8 @@ def test_the_best_checkpoint_is_kept_and_can_be_tested(folder: Path, tmp_path: P
     best = checkpoint.load(run / "best.pt")
     assert best.best_success == checkpoint.load(checkpoint.latest(run)).best_success
     assert [path.name for path in checkpoint.saved(run)] == ["000001.pt", "000002.pt"]
-    assert run_command("test", ["--policy", str(run / "best.pt"), "--data", str(folder), *SHORT, "pool.kind=serial"]) == 0
+    words = ["--policy", str(run / "best.pt"), "--data", str(folder), *SHORT, "pool.kind=serial"]
+    assert run_command("test", words) == 0
 
 
 def test_runs_are_listed_and_compared(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -113,8 +116,10 @@ def test_runs_are_listed_and_compared(tmp_path: Path, capsys: pytest.CaptureFixt
     assert lines[3] == ["new", "new", "?", "mujoco", "all", "0/10000", "0", "0.00", "-", "-"]
     assert main(["runs", str(tmp_path / "a"), str(tmp_path / "b")]) == 0
     out = capsys.readouterr().out
-    assert ["seed", "1", "2"] in [line.split() for line in out.splitlines()]
-    assert ["1,000", "0.400", "0.600"] in [line.split() for line in out.splitlines()] and "2,000  " not in out.split("success of a")[1]
+    lines = [line.split() for line in out.splitlines() if line.strip()]
+    assert ["seed", "1", "2"] in lines
+    # Both are compared up to where the shorter one went.
+    assert lines[-1] == ["1,000", "0.400", "0.600"]
 
 
 def test_what_is_not_a_run_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
