@@ -9,6 +9,7 @@ from dgrasp.hand.model import HandModel, load_hand
 from dgrasp.objects.free import free_object
 from dgrasp.objects.model import ObjectModel
 from dgrasp.objects.release import Concave, release_object
+from dgrasp.objects.store import load_object
 from dgrasp.pool import Pool, PoolSpec, make_pool
 from dgrasp.scene.standing import standing
 from raisim_like.engines import make_engine
@@ -18,14 +19,16 @@ from raisim_like.errors import EngineError
 def build_objects(choice: DataChoice, config: Config) -> dict[str, ObjectModel]:
     """The physics models of the objects that the chosen labels need."""
     physics = config.physics
-    if choice.kind == "free":
-        return {n: free_object(n, physics.masses, physics.official_compat) for n in choice.labels.objects}
-    chosen: Concave = "mesh" if config.engine == "pybullet" else "parts"
-    concave = chosen if physics.concave == "auto" else physics.concave
-    return {
-        n: release_object(choice.objects_dir, n, physics.masses, physics.official_compat, concave)
-        for n in choice.labels.objects
-    }
+    concave: Concave = "parts" if config.engine == "mujoco" else physics.concave
+
+    def build(name: str) -> ObjectModel:
+        if name in choice.added:
+            return load_object(choice.added[name].folder, physics.official_compat, parts=concave != "mesh")
+        if choice.kind == "free":
+            return free_object(name, physics.masses, physics.official_compat)
+        return release_object(choice.objects_dir, name, physics.masses, physics.official_compat, concave)
+
+    return {name: build(name) for name in choice.labels.objects}
 
 
 def build_hand(choice: DataChoice) -> HandModel:

@@ -16,11 +16,14 @@ COMMANDS = {
     "test": "dgrasp.test",
     "demo": "dgrasp.demo",
     "runs": "dgrasp.runs",
+    "export": "dgrasp.export.command",
     "hand build": "dgrasp.hand.build_command",
     "hand report": "dgrasp.hand.report_command",
+    "object add": "dgrasp.objects.add_command",
     "labels import dexycb": "dgrasp.labels.import_dexycb",
     "labels import ho3d": "dgrasp.labels.import_ho3d",
     "labels import mano": "dgrasp.labels.import_mano",
+    "labels check": "dgrasp.labels.check",
 }
 """Each command's module: `HELP`, `add_arguments` and `main`."""
 
@@ -35,7 +38,9 @@ commands:
   test     evaluate a policy or a baseline
   demo     train briefly on the free set and show what happens
   runs     list training runs, compare two
+  export   stored sequences as arrays, GLB animations, GIF or mp4
   hand     build: a physics hand from a MANO file; report: compare hands
+  object   add: objects for the physics from mesh files
   labels   import: labels from DexYCB, HO3D or MANO parameters; check: what is wrong with a label file
 """
 

@@ -28,6 +28,7 @@ class _Section(BaseModel):
 class LabelsConfig(_Section):
     """Which grasp labels: a release's split by name, or a file; which objects of it.
 
+    objects: names, numbers, or the paper's sets, "unseen_1" to "unseen_6" and "seen_1" to "seen_6" (docs/labels.md).
     per_epoch: how many of them, drawn anew, make an epoch of training; null takes all.
     """
 
@@ -43,7 +44,7 @@ class PhysicsConfig(_Section):
 
     preset: "faithful" is as near to RaiSim as the engine gets; "fast" gives some of that for speed (docs/physics.md).
     concave: how a release's concave objects collide: "mesh" as the authors' triangles (pybullet alone), "parts" as
-    convex parts cut from them; "auto" is what docs/physics.md found best for the engine.
+    convex parts cut from them; "auto" is what docs/physics.md found best for object and engine.
     """
 
     timestep: Positive = 0.00222
@@ -219,7 +220,11 @@ class EvalConfig(_Section):
 
 
 class Config(_Section):
-    """One experiment."""
+    """One experiment.
+
+    objects: the folder of added objects (`dgrasp object add`) that labels name; null looks at the data's objects/, then
+    at data/objects.
+    """
 
     name: str = "dexycb"
     seed: Annotated[int, Field(ge=0)] = 1
@@ -227,6 +232,7 @@ class Config(_Section):
     device: Literal["auto", "cpu", "cuda"] = "auto"
     data: str | None = None
     hand: str | None = None
+    objects: str | None = None
     fallback: Literal["free", "error"] = "free"
     labels: LabelsConfig = LabelsConfig()
     physics: PhysicsConfig = PhysicsConfig()

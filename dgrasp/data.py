@@ -7,7 +7,7 @@ laid out like the authors' release; such a folder under data/; the free set that
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
@@ -15,7 +15,8 @@ from dgrasp.config import Config
 from dgrasp.errors import DataError
 from dgrasp.hand.store import find_hand
 from dgrasp.labels.source import RELEASE_FILES, SOURCES, SPLITS, LabelSet, load_labels, select, sha256_of
-from dgrasp.objects.names import nearest
+from dgrasp.objects.names import YCB_NAMES, nearest
+from dgrasp.objects.store import StoredObject, default_store, find_object
 from dgrasp.paths import data_root, user_data_root
 
 Kind = Literal["free", "release"]
@@ -32,6 +33,7 @@ class DataChoice:
     and id. objects_dir: folder of object meshes. labels: the chosen labels. licence: the terms for using them.
     source, split: which labels by name ("file" where a file outside the release was given).
     comparable_with_paper: the paper's hand and labels. notes: remarks on how the choice came about.
+    added: the labels' objects that are none of the 20 but were added by the user, by name.
     """
 
     root: Path
@@ -46,9 +48,11 @@ class DataChoice:
     split: str
     comparable_with_paper: bool
     notes: tuple[str, ...] = ()
+    added: dict[str, StoredObject] = field(default_factory=dict)
 
     def stamp(self) -> dict[str, Any]:
         """What was used, for results and run folders; plain JSON values, no machine's paths."""
+        added = {"added_objects": {name: entry.id for name, entry in self.added.items()}} if self.added else {}
         return {
             "kind": self.kind,
             "hand": self.hand,
@@ -62,6 +66,7 @@ class DataChoice:
             "hand_sha256": self.hand_sha256,
             "labels_sha256": self.labels.sha256,
             "comparable_with_paper": self.comparable_with_paper,
+            **added,
         }
 
     def describe(self) -> str:
@@ -89,12 +94,24 @@ def resolve(config: Config) -> DataChoice:
     if labels.hand != hand:
         raise DataError(f"{path}: labels made for the hand {labels.hand!r}, but the hand of {root} is {hand!r}; "
                         "a grasp fits one hand alone: choose data or labels that go together (--data, --labels, hand=)")
+    chosen = select(labels, config.labels.objects, config.labels.limit_per_object)
+    added = _added(config, root, chosen)
     comparable = kind == "release" and labels.comparable_with_paper and hand_urdf == root / "hand" / _HAND_FILES[kind]
     return DataChoice(
         root=root, kind=kind, hand_urdf=hand_urdf, hand=hand, hand_sha256=sha256_of(hand_urdf),
-        objects_dir=root / "objects", labels=select(labels, config.labels.objects, config.labels.limit_per_object),
+        objects_dir=root / "objects", labels=chosen, added=added,
         licence=labels.licence, source=source, split=split, comparable_with_paper=comparable, notes=tuple(notes),
     )
+
+
+def _added(config: Config, root: Path, labels: LabelSet) -> dict[str, StoredObject]:
+    """The labels' objects that are none of the 20, from the folder that the config names, the data's or the user's."""
+    folders = [root / "objects", default_store()]
+    if config.objects is not None:
+        folders = [Path(os.path.expanduser(config.objects))]
+        if not os.path.isdir(folders[0]):
+            raise DataError(f"objects: no folder {str(folders[0])!r}; expected one that `dgrasp object add` wrote to")
+    return {name: find_object(name, folders) for name in labels.objects if name not in YCB_NAMES.values()}
 
 
 def _is_free(folder: Path) -> bool:

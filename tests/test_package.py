@@ -19,7 +19,7 @@ from tests.reference import reference_or_skip
 
 PACKAGES = ("dgrasp", "raisim_like")
 BUNDLED = "dgrasp/_bundled/"
-IMPORTED_AS = {"pillow": "PIL", "pyyaml": "yaml"}
+IMPORTED_AS = {"fast-simplification": "fast_simplification", "pillow": "PIL", "pyyaml": "yaml"}
 """Distributions whose modules have another name."""
 JUNK = (
     "data/dexycb/labels/dexycb_train_labels.pkl",

@@ -1,4 +1,4 @@
-"""Motion synthesis: the wrist carries the object to a 6D target in closed loop (paper, section 3.3; supplement, A.2)."""
+"""Motion synthesis: the wrist carries the object to a 6D target in closed loop (paper, 3.3; supplement, A.2)."""
 
 from __future__ import annotations
 

@@ -93,8 +93,8 @@ def run_motions(
         stable[:] = [metrics.success(record, config.eval.window_s) for record in tested]
         costs, done = [cost], test_steps
         if not stable.any():
-            raise DataError(f"none of the {len(stable)} grasps passes the stability test of {config.eval.window_s:g} s, "
-                            "so there is nothing to move; motion.stable_alone=false moves them all the same")
+            raise DataError(f"none of the {len(stable)} grasps passes the stability test of {config.eval.window_s:g} "
+                            "s, so there is nothing to move; motion.stable_alone=false moves them all the same")
     spec = dataclasses.replace(spec, labels=[label for label, ok in zip(spec.labels, stable, strict=True) if ok])
     rounds = []
     pool = make_pool(spec)
@@ -133,7 +133,7 @@ def until_floor(record: EpisodeRecord) -> EpisodeRecord:
         return record
     stop = record.window_start + int(fallen[0]) + 1
     values = {field.name: getattr(record, field.name) for field in dataclasses.fields(record)}
-    arrays = {name: value[:stop] for name, value in values.items() if isinstance(value, np.ndarray)}
+    arrays: dict[str, Any] = {name: value[:stop] for name, value in values.items() if isinstance(value, np.ndarray)}
     return dataclasses.replace(record, terminated=ON_FLOOR, **arrays)
 
 

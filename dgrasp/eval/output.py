@@ -84,8 +84,8 @@ def remarks(result: Result) -> list[str]:
         lines.append(f"95% intervals of the means over objects (bootstrap over their labels): {spans}")
     lines += _about_interpenetration(result)
     if result.motion is not None and result.motion.get("left_out"):
-        lines.append(f"{len(result.motion['left_out'])} of {result.motion['n_grasps']} grasps did not pass the stability "
-                     f"test of {result.window_s:g} s and were left out, as in the paper")
+        lines.append(f"{len(result.motion['left_out'])} of {result.motion['n_grasps']} grasps did not pass the "
+                     f"stability test of {result.window_s:g} s and were left out, as in the paper")
     used = [f"{key} {result.data[key]}" for key in ("hand", "labels", "licence") if key in result.data]
     return [*lines, "; ".join([*used, f"seed {result.seed}", f"code {result.commit}"])]
 

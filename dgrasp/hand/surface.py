@@ -75,8 +75,8 @@ class SkinnedSurface:
 
 
 def hand_surface(hand: HandModel, mano: Path | None, meta: dict[str, Any]) -> HandSurface:
-    """The best surface that there is: skinned if `mano` names MANO's file or the hand is the free one, else part meshes,
-    else collision shapes.
+    """The best surface that there is: skinned if `mano` names MANO's file or the hand is the free one, else the part
+    meshes, else the collision shapes.
 
     meta: what is known of how the hand was made (`store.NamedHand.meta`), for its side and shape; empty for the mean
     shape of a right hand. Raises `DataError` where the file is no MANO hand, or another hand than this one.

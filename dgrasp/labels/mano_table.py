@@ -99,7 +99,9 @@ def _checked(path: Path, name: str, array: Array) -> Array:
     """(n, width) float64 of one quantity."""
     if array.ndim < 2 or array.ndim > 4 or len(array) > MAX_ROWS:
         raise DataError(f"{path}: {name} has shape {array.shape}; expected (rows, numbers), at most {MAX_ROWS} rows")
-    flat = array.reshape(len(array), -1) if len(array) else array.reshape(0, 0)
+    if not len(array):
+        return np.zeros((0, 1))
+    flat = array.reshape(len(array), -1)
     if flat.shape[1] not in WIDTHS[name]:
         widths = WIDTHS[name]
         wanted = " or ".join(map(str, widths)) if len(widths) < 4 else f"{widths[0]} to {widths[-1]}"

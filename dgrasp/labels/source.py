@@ -12,6 +12,7 @@ from pathlib import Path
 from dgrasp.errors import DataError
 from dgrasp.labels import official
 from dgrasp.labels.native import read_native_with_meta
+from dgrasp.labels.splits import object_set
 from dgrasp.objects.names import nearest, resolve_object
 from dgrasp.types import GraspLabel
 
@@ -90,14 +91,20 @@ def load_labels(path: Path) -> LabelSet:
 def select(labels: LabelSet, objects: Sequence[str] = (), limit_per_object: int | None = None) -> LabelSet:
     """The labels of `objects` (all where empty), of each at most the first `limit_per_object`, order kept.
 
-    Objects are given as `resolve_object` takes them. An object that is unknown or has no label here is a
-    `DataError` that names the nearest one.
+    Objects are given as `resolve_object` takes them, or as sets (`splits.object_set`). An object that is unknown or has
+    no label here is a `DataError` that names the nearest one.
     """
     there = labels.objects
     wanted = set(there)
     if objects:
         wanted = set()
         for name in objects:
+            group = object_set(name)
+            if group is not None:
+                if not group.intersection(there):
+                    raise DataError(f"{labels.source}: no label of an object of {name!r}; it has {', '.join(there)}")
+                wanted |= group
+                continue
             full = name if name in there else resolve_object(name)
             if full not in there:
                 raise DataError(f"{labels.source}: no label of {full!r}{nearest(full, there)}; "

@@ -26,8 +26,8 @@ QUATERNION_TOLERANCE = 1e-2
 _WORLD = ("x", "y", "z", "qw", "qx", "qy", "qz")
 _LABEL = ("dx", "dy", "dz", *_WORLD[3:])
 _EXPECTED = (
-    "expected position (n, 3) m, quaternion (n, 4) w x y z, optionally time (n,) s, and frame \"world\" or \"label\"; in "
-    f"CSV the columns {', '.join(_WORLD)} (or {', '.join(_LABEL[:3])} for the frame of the label), optionally t"
+    "expected position (n, 3) m, quaternion (n, 4) w x y z, optionally time (n,) s, and frame \"world\" or \"label\"; "
+    f"in CSV the columns {', '.join(_WORLD)} (or {', '.join(_LABEL[:3])} for the frame of the label), optionally t"
 )
 
 
@@ -125,8 +125,8 @@ def _poses(path: Path, columns: dict[str, Any]) -> Array:
     if len(position) != len(quaternion) or len(position) == 0:
         raise DataError(f"{path}: {len(position)} positions and {len(quaternion)} quaternions; expected as many, and "
                         "at least one")
-    _require(path, (np.abs(position) <= MAX_POSITION).all(axis=1), f"the position is beyond {MAX_POSITION:g} m; "
-             "expected metres")
+    near = np.abs(position).max(axis=1) <= MAX_POSITION
+    _require(path, near, f"the position is beyond {MAX_POSITION:g} m; expected metres")
     off = np.abs(np.linalg.norm(quaternion, axis=1) - 1.0)
     _require(path, off <= QUATERNION_TOLERANCE, "the quaternion is not of length 1; expected w, x, y, z")
     return transform(matrix_from_quaternion(quaternion), position)
@@ -138,8 +138,8 @@ def _time(path: Path, columns: dict[str, Any]) -> Array | None:
     time = _array(path, columns, "time", None)
     if len(time) != len(columns["position"]) or len(time) < 2:
         raise DataError(f"{path}: {len(time)} times for {len(columns['position'])} poses; expected as many, at least 2")
-    _require(path, np.diff(time, prepend=-np.inf) > 0.0, "the time is not after that of the row before; expected "
-             "increasing seconds")
+    later = np.diff(time, prepend=-np.inf) > 0.0
+    _require(path, later, "the time is not after that of the row before; expected increasing seconds")
     if time[0] < 0.0 or time[-1] > MAX_SECONDS:
         raise DataError(f"{path}: times from {time[0]:g} to {time[-1]:g} s; expected 0 to {MAX_SECONDS:g} s")
     return time

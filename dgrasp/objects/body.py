@@ -20,21 +20,21 @@ DETAILED_MESH = "textured_meshlab.obj"
 
 @dataclass(frozen=True, eq=False)
 class ObjectBody:
-    """An object in its frame O; detailed: made from the release's detailed mesh, not from collision shapes."""
+    """An object in its frame O; detailed: made from a mesh of its surface, not from collision shapes."""
 
     body: Body
     detailed: bool
 
 
 def object_body(model: ObjectModel, objects_dir: Path) -> ObjectBody:
-    """The object's detailed mesh where `objects_dir` has one, else its collision shapes.
+    """The object's detailed mesh where `objects_dir` has one, else its model's mesh, else its collision shapes.
 
     Raises `DataError` for a damaged mesh.
     """
     file = Path(objects_dir) / model.name / DETAILED_MESH
-    detailed = file.is_file()
-    shapes: Sequence[Shape] = (Shape("mesh", file=file),) if detailed else model.shapes
-    return ObjectBody(body([shape_mesh(shape) for shape in shapes]), detailed)
+    mesh = file if file.is_file() else model.mesh
+    shapes: Sequence[Shape] = model.shapes if mesh is None else (Shape("mesh", file=mesh),)
+    return ObjectBody(body([shape_mesh(shape) for shape in shapes]), mesh is not None)
 
 
 def surface_points(of: Body, spacing: float) -> Array:

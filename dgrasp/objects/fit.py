@@ -94,14 +94,14 @@ def simplified(solid: Solid, faces: int) -> Solid:
 
 def _decimated(solid: Solid) -> Solid:
     """The solid by quadric decimation, with `COLLISION_FACES` triangles or the next double of them that is a solid."""
-    import trimesh
+    import fast_simplification
 
-    mesh = trimesh.Trimesh(*solid.mesh, process=False)
+    vertices, faces = solid.mesh
     count = COLLISION_FACES
-    while count < len(mesh.faces):
-        fewer = mesh.simplify_quadric_decimation(face_count=count)
+    while count < len(faces):
+        fewer = fast_simplification.simplify(vertices, faces, target_count=count)
         with contextlib.suppress(DataError):
-            made = body([(np.asarray(fewer.vertices), np.asarray(fewer.faces))])
+            made = body([(fewer[0], fewer[1])])
             if made.solid is not None and made.holes == 0:
                 return Solid(made.solid, solid.notes)
         count *= 2

@@ -1,8 +1,9 @@
-"""The free objects: the 20 objects of the catalogue as primitives and compounds of our own, no file needed.
+"""The free objects: the 20 objects of the catalogue as primitives and compounds of our own.
 
 They have the YCB objects' published sizes and masses, and shapes designed here. The origin of the object frame O
 is the centre of the bounding box; upright objects stand along z, long flat ones lie in the xy plane. Hollow
-objects are rings of boxes, so that fingers reach inside.
+objects are rings of boxes, so that fingers reach inside. What is measured or drawn on surfaces uses the meshes of
+`dgrasp.objects.free_mesh`, which ship as files.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ import numpy as np
 from dgrasp.objects.catalogue import CATALOGUE, MassSet, catalogue_object
 from dgrasp.objects.inertia import object_model
 from dgrasp.objects.model import ObjectModel
+from dgrasp.paths import data_root
 from dgrasp.types import Array
 from raisim_like.rotations import matrix_from_quaternion, quaternion_from_matrix
 from raisim_like.shapes import Shape
@@ -30,7 +32,8 @@ def free_object(name: str, masses: MassSet, official_compat: bool) -> ObjectMode
     origin and 1 kg m^2 about every axis instead of the shape's own. Raises `DataError` for an unknown name.
     """
     entry = catalogue_object(name)
-    return object_model(entry.name, _SHAPES[entry.name], entry.mass(masses), official_compat)
+    model = object_model(entry.name, _SHAPES[entry.name], entry.mass(masses), official_compat)
+    return replace(model, mesh=data_root() / "free" / "objects" / entry.name / "mesh.obj")
 
 
 def shape_bounds(shapes: Sequence[Shape]) -> Array:

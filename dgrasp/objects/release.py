@@ -12,19 +12,19 @@ from dgrasp.objects.inertia import object_model
 from dgrasp.objects.model import ObjectModel
 from dgrasp.objects.parts import convex_parts
 
-Concave = Literal["mesh", "parts"]
+Concave = Literal["auto", "mesh", "parts"]
 
 
 def release_object(
-    objects_dir: Path, name: str, masses: MassSet, official_compat: bool, concave: Concave = "mesh"
+    objects_dir: Path, name: str, masses: MassSet, official_compat: bool, concave: Concave = "auto"
 ) -> ObjectModel:
     """The object `name` with the authors' choice of collision shape, in its mesh's frame O.
 
     objects_dir: the release's `objects` folder; it is read for objects that collide as a mesh, not for boxes and
     cylinders. masses: "official" as the authors simulate them, "ycb" as published.
     official_compat: centre of mass at the origin and 1 kg m^2 about every axis instead of the shape's own.
-    concave: the authors' concave meshes as they are, or cut into convex parts; centre of mass and inertia are
-    the mesh's either way. Raises `DataError` for an unknown name or a mesh that is missing or damaged.
+    concave: the authors' concave meshes as they are, or cut into convex parts, or ("auto") whichever of the two
+    grasps more like the authors' simulation; centre of mass and inertia are the mesh's either way. Raises `DataError` for an unknown name or a mesh that is missing or damaged.
     """
     entry = catalogue_object(name)
     shape = entry.collision
@@ -37,6 +37,7 @@ def release_object(
             )
         shape = replace(shape, file=file)
     model = object_model(entry.name, (shape,), entry.mass(masses), official_compat)
-    if shape.kind == "mesh" and shape.file is not None and concave == "parts":
+    cut = concave == "parts" or (concave == "auto" and not entry.thin)
+    if shape.kind == "mesh" and shape.file is not None and cut:
         return replace(model, shapes=convex_parts(shape.file))
     return model

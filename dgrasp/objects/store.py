@@ -12,6 +12,7 @@ import math
 import os
 import re
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, cast
 
@@ -19,6 +20,7 @@ import numpy as np
 
 from dgrasp.errors import DataError
 from dgrasp.objects.model import ObjectModel
+from dgrasp.objects.names import YCB_NAMES, nearest
 from dgrasp.objects.parts import convex_parts
 from dgrasp.paths import user_data_root
 from dgrasp.types import Array
@@ -36,15 +38,26 @@ def default_store() -> Path:
     return user_data_root() / "objects"
 
 
-def find_object(name: str, folders: Sequence[Path]) -> Path:
-    """The folder of an added object, in the first of `folders` that has it; a `DataError` says where it was looked for."""
+@dataclass(frozen=True)
+class StoredObject:
+    """Where an added object lies, and its id, which ends in a hash of what the physics reads."""
+
+    folder: Path
+    id: str
+
+
+def find_object(name: str, folders: Sequence[Path]) -> StoredObject:
+    """An added object, from the first of `folders` that has it.
+
+    Raises `DataError` where none has it, saying where it was looked for, and for a damaged one.
+    """
     for folder in folders:
         if os.path.isfile(folder / name / META_FILE):
-            return folder / name
+            return StoredObject(folder / name, read_meta(folder / name)["id"])
     there = sorted({p.parent.name for folder in folders if os.path.isdir(folder) for p in folder.glob(f"*/{META_FILE}")})
     raise DataError(f"unknown object {name!r}: none of the 20, and not in {' or '.join(str(f) for f in folders)} (there: "
-                    f"{', '.join(there[:20]) or 'nothing'}); add its mesh with `dgrasp object add MESH --name {name}`, "
-                    "or name its folder with objects=DIR")
+                    f"{', '.join(there[:20]) or 'nothing'}){nearest(name, [*there, *YCB_NAMES.values()])}; add its mesh with "
+                    f"`dgrasp object add MESH --name {name}`, or name its folder with objects=DIR")
 
 
 def load_object(folder: Path, official_compat: bool, parts: bool = False) -> ObjectModel:

@@ -85,8 +85,8 @@ def _window(result: Result, dt: float) -> str:
     times, shares = failures.held_over_time(result.per_label, result.window_s, dt)
     paper = (result.paper or {}).get("success", {}).get("average")
     found = failures.report(result.per_label, result.window_s, dt)["failures"]
-    about = ('<p class="lead">Share of grasps that are not lost yet: a thin line for each object, the thick one is their '
-             "mean.</p>")
+    about = ('<p class="lead">Share of grasps that are not lost yet: a thin line for each object, the thick one is '
+             "their mean.</p>")
     over_time = _section("over-time", "Success over time", about + charts.held(times, shares, paper))
     kinds = _section("failures", "Where grasps fail", _kinds(found["all"]))
     return (f'<div class="two"><div>{over_time}{kinds}</div>'
@@ -219,6 +219,6 @@ def _downloads(result: Result, extra: Mapping[str, Any] | None) -> str:
              ("md", "text/markdown", "Markdown", output.markdown_text(result))]
     links = "".join(
         f'<a download="{escape(result.method)}.{kind}" href="data:{mime};base64,'
-        f'{base64.b64encode(text.encode("utf-8")).decode("ascii")}">{name}</a>' for kind, mime, name, text in files
+        f'{base64.b64encode(text.encode("utf-8")).decode("ascii")}">{name}</a> ' for kind, mime, name, text in files
     )
     return f'<footer><p>Save the numbers: {links}</p></footer>\n'

@@ -16,8 +16,8 @@ import numpy as np
 from dgrasp.eval.summary import Row
 from dgrasp.scene.scene import LOWERED_TOP, TABLE_TOP
 from dgrasp.types import Array, EpisodeRecord
+from dgrasp.view.camera import viewpoint
 from dgrasp.view.meshes import DisplayMeshes, Mesh, body_poses
-from raisim_like.rotations import quaternion_from_matrix
 
 SHOWN = 10
 """Replays at either end of the ranking."""
@@ -35,7 +35,7 @@ def ranking(rows: Sequence[Row]) -> list[int]:
     """
     def key(i: int) -> tuple[float, float, int]:
         row = rows[i]
-        off = row.get("mpe_m", row.get("sim_dist_mm_per_step", np.inf))
+        off = row["mpe_m"] if "mpe_m" in row else row.get("sim_dist_mm_per_step", np.inf)
         return -float(row.get("lost_s", np.inf)), float(off), i
 
     return sorted(range(len(rows)), key=key)
@@ -64,14 +64,9 @@ def pack(
 
 def _replay(group: str, record: EpisodeRecord, row: Row, meshes: DisplayMeshes) -> dict[str, Any]:
     stride = -(-len(record.gc) // MAX_FRAMES)
-    R, t = body_poses(meshes, record)
-    R, t = _whole(R)[::stride], _whole(t)[::stride]
-    centre = t[0, 0]
-    t = np.clip(t, centre - REACH, centre + REACH)
-    q = quaternion_from_matrix(R)
-    # Neighbours on the same side, so that the viewer can blend between them.
-    flips = np.cumprod(np.where((q[1:] * q[:-1]).sum(axis=-1, keepdims=True) < 0.0, -1.0, 1.0), axis=0)
-    q[1:] *= flips
+    q, t = (values[::stride] for values in body_poses(meshes, record))
+    t = np.clip(t, t[0, 0] - REACH, t[0, 0] + REACH)
+    target, yaw = viewpoint(record)
     lo, step, places = _quantised(t)
     bits = (np.asarray(record.contacts)[::stride] > 0.0) @ (1 << np.arange(16))
     shown = ("sim_dist_mm_per_step", "contact_ratio", "interpenetration_cm3", "mpe_m", "geodesic_rad")
@@ -80,35 +75,10 @@ def _replay(group: str, record: EpisodeRecord, row: Row, meshes: DisplayMeshes) 
         "failure": row.get("failure"), "lost_s": row.get("lost_s"),
         "metrics": {name: row[name] for name in shown if name in row},
         "n": len(t), "dt": record.dt * stride, "start": (record.window_start - 1) / stride,
-        "yaw": round(_yaw(record), 3), "target": [round(float(x), 4) for x in _target(record)],
+        "yaw": round(yaw, 3), "target": [round(float(x), 4) for x in target],
         "lo": lo, "step": step, "p": _text(places, "<u2"), "q": _text(np.rint(q * 32767.0), "<i2"),
         "c": _text(bits, "<u2"),
     }  # fmt: skip
-
-
-def _whole(values: Array) -> Array:
-    """The values with broken steps replaced by the last whole one: a breaking simulation may leave NaN."""
-    fine = np.isfinite(values).reshape(len(values), -1).all(axis=1)
-    last = np.maximum.accumulate(np.where(fine, np.arange(len(values)), 0))
-    return np.nan_to_num(values[last])
-
-
-def _target(record: EpisodeRecord) -> Array:
-    """(3,) m: what the camera turns about: between wrist and object when the table goes, and a little below."""
-    step = min(max(record.window_start - 1, 0), len(record.gc) - 1)
-    between = 0.65 * record.T_WO[step, :3, 3] + 0.35 * record.T_WH[step, :3, 3]
-    return np.nan_to_num(between - np.array([0.0, 0.0, 0.05]))
-
-
-def _yaw(record: EpisodeRecord) -> float:
-    """Direction, rad about z, from which palm and object are both seen: from the side, rather the palm's."""
-    step = min(max(record.window_start - 1, 0), len(record.gc) - 1)
-    T_WH = np.nan_to_num(record.T_WH[step])
-    palm = -T_WH[:2, 1]
-    along = np.nan_to_num(record.T_WO[step, :2, 3]) - T_WH[:2, 3]
-    aside = np.array([-along[1], along[0]]) / max(float(np.linalg.norm(along)), 0.05)
-    view = 0.8 * palm + aside * (1.0 if aside @ palm >= 0.0 else -1.0)
-    return float(np.arctan2(view[1], view[0])) if np.linalg.norm(view) > 1e-6 else -0.7
 
 
 def _mesh(mesh: Mesh) -> dict[str, Any]:

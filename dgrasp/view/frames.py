@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from PIL import Image
@@ -15,6 +16,7 @@ from dgrasp.pool.base import PoolSpec
 from dgrasp.scene.scene import LOWERED_TOP, TABLE_TOP, Scene
 from dgrasp.types import Array, EpisodeRecord, SceneState
 from raisim_like.rotations import matrix_from_euler, quaternion_from_matrix, transform
+from raisim_like.shapes import Shape
 
 HAND_COLOR = (0.92, 0.76, 0.62, 1.0)
 OBJECT_COLOR = (0.25, 0.47, 0.75, 1.0)
@@ -30,6 +32,9 @@ def render_record(
     size: tuple[int, int] = (320, 240),
 ) -> list[Array]:
     """Frames (height, width, 3) uint8 of an episode, one for every `every` control steps."""
+    if model.mesh is not None:
+        # Nothing is simulated here, and PyBullet, which draws for every engine, takes the object's mesh as it is.
+        model, engine = replace(model, shapes=(Shape("mesh", file=model.mesh),)), "pybullet"
     scene = Scene(hand, model, PhysicsConfig(), engine)
     try:
         world = scene.world.engine_world

@@ -13,6 +13,7 @@ from dgrasp.hand.skeleton import N_PARTS, PARTS
 from dgrasp.hand.surface import rigid_surface
 from dgrasp.labels.distance import part_poses
 from dgrasp.types import Array, EpisodeRecord
+from raisim_like.rotations import quaternion_from_matrix
 
 PART_FACES, OBJECT_FACES = 320, 2500
 """Most triangles of a hand part and of an object."""
@@ -85,10 +86,21 @@ def merged(mesh: Mesh, cell: float) -> Mesh:
 
 
 def body_poses(meshes: DisplayMeshes, record: EpisodeRecord) -> tuple[Array, Array]:
-    """World rotations (T, 17, 3, 3) and positions (T, 17, 3) m of `BODIES` at each step."""
-    R, t = part_poses(meshes, record.T_WH, record.gc[:, 6:])
-    return (np.concatenate([R, record.T_WO[:, None, :3, :3]], axis=1),
-            np.concatenate([t, record.T_WO[:, None, :3, 3]], axis=1))
+    """Quaternions (T, 17, 4), w, x, y, z, and positions (T, 17, 3) m of `BODIES` in the world at each step.
+
+    A quaternion lies on the side of the one before, so that they can be blended. Steps that a breaking simulation left
+    with NaN repeat the last whole one.
+    """
+    n = len(record.gc)
+    rows = np.concatenate([record.T_WH.reshape(n, 16), record.T_WO.reshape(n, 16), record.gc], axis=1)
+    whole = np.maximum.accumulate(np.where(np.isfinite(rows).all(axis=1), np.arange(n), 0))
+    T_WH, T_WO, gc = (np.nan_to_num(values[whole]) for values in (record.T_WH, record.T_WO, record.gc))
+    R, t = part_poses(meshes, T_WH, gc[:, 6:])
+    R = np.concatenate([R, T_WO[:, None, :3, :3]], axis=1)
+    t = np.concatenate([t, T_WO[:, None, :3, 3]], axis=1)
+    q = quaternion_from_matrix(R)
+    q[1:] *= np.cumprod(np.where((q[1:] * q[:-1]).sum(axis=-1, keepdims=True) < 0.0, -1.0, 1.0), axis=0)
+    return q, t
 
 
 def table_tops(record: EpisodeRecord, on: float, lowered: float) -> Array:

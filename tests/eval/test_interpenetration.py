@@ -108,7 +108,7 @@ def test_of_the_chosen_data() -> None:
     choice = resolve(config)
     bodies = build_bodies(choice, {"025_mug": free_object("025_mug", "official", True)})
     measure = build_interpenetration(choice, config, free_hand(), bodies)
-    assert measure.report()["hand_mesh"] == "collision shapes" and not bodies["025_mug"].detailed
+    assert measure.report()["hand_mesh"] == "skinned mesh" and not bodies["025_mug"].detailed
     one = choice.labels.labels[0]
     value = measure.measure(dataclasses.replace(grasped(np.zeros(3)), label=one))["interpenetration_cm3"]
     assert 0.0 < value < 20.0

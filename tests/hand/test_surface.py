@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
 
 import numpy as np
@@ -11,11 +12,12 @@ from dgrasp.cli import run_command
 from dgrasp.errors import DataError
 from dgrasp.geometry.intersection import join
 from dgrasp.hand import approximate
+from dgrasp.hand.free_skin import free_skin
 from dgrasp.hand.mano import read_mano
 from dgrasp.hand.segment import closed_volume
 from dgrasp.hand.skinning import euler_rotations, numpy_skin
 from dgrasp.hand.store import NamedHand, open_hand
-from dgrasp.hand.surface import COLLISION, PART_MESHES, SKIN, RigidSurface, hand_surface
+from dgrasp.hand.surface import COLLISION, PART_MESHES, SKIN, RigidSurface, hand_surface, rigid_surface
 from dgrasp.labels.distance import part_poses
 from dgrasp.objects.inertia import shape_properties
 from dgrasp.types import Array
@@ -51,9 +53,24 @@ def pose() -> tuple[Array, Array]:
     return T, angles
 
 
-def test_free_hand_has_its_collision_shapes(pose: tuple[Array, Array]) -> None:
+def test_free_hand_has_its_skin(pose: tuple[Array, Array]) -> None:
+    surface = hand_surface(free_hand(), None, {})
+    assert surface.kind == SKIN
+    rotations = np.concatenate([pose[0][None, :3, :3], euler_rotations(pose[1].reshape(15, 3))])[None]
+    vertices, _ = numpy_skin(free_skin()).forward(rotations, pose[0][None, :3, 3])
+    bounds = np.stack([vertices[0].min(axis=0), vertices[0].max(axis=0)])
+    assert join(surface.pieces(*pose)).bounds == pytest.approx(bounds, abs=1e-9)
+
+
+def test_a_free_hand_of_other_joints_keeps_its_shapes() -> None:
     hand = free_hand()
-    surface = hand_surface(hand, None, {})
+    longer = dataclasses.replace(hand, offsets=1.1 * hand.offsets)
+    assert hand_surface(longer, None, {}).kind == COLLISION
+
+
+def test_a_hand_without_meshes_has_its_collision_shapes(pose: tuple[Array, Array]) -> None:
+    hand = free_hand()
+    surface = rigid_surface(hand)
     assert surface.kind == COLLISION
     pieces = surface.pieces(*pose)
     shapes = [(part, shape) for part in range(16) for shape in hand.urdf.links[int(hand.part_links[part])].shapes]

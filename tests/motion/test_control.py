@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -219,7 +217,7 @@ def test_fingers_are_held_at_their_targets_or_where_they_are() -> None:
         env.reset(mode="label")
         env.begin_motion(path, "target")
         env.step(action)
-        label = np.clip(replace(env.labels[0]).hand_pose, *limits)
+        label = np.clip(env.labels[0].hand_pose, *limits)
         assert np.allclose(env._target[0, 6:], label)
     finally:
         env.close()

@@ -256,12 +256,19 @@ def test_slivers_are_no_hulls() -> None:
 @pytest.mark.parametrize("compat", [True, False])
 def test_mass_and_inertia_are_the_meshs(tmp_path: Path, cuts: list[PartSettings], compat: bool) -> None:
     write_l_shape(tmp_path / "025_mug" / "textured_meshlab_quart.obj")
-    whole = release_object(tmp_path, "025_mug", "ycb", compat)
+    whole = release_object(tmp_path, "025_mug", "ycb", compat, "mesh")
     cut = release_object(tmp_path, "025_mug", "ycb", compat, "parts")
     assert [shape.kind for shape in whole.shapes] == ["mesh"] and [shape.kind for shape in cut.shapes] == ["hull"] * 2
     assert cut.mass == whole.mass == 0.118
     assert np.array_equal(cut.center_of_mass_O, whole.center_of_mass_O) and np.array_equal(cut.inertia, whole.inertia)
     assert np.array_equal(cut.inertia, np.eye(3)) == compat
+
+
+def test_thin_objects_keep_their_triangles_where_there_is_a_choice(tmp_path: Path, cuts: list[PartSettings]) -> None:
+    for name, kinds in (("025_mug", ["hull"] * 2), ("024_bowl", ["mesh"])):
+        write_l_shape(tmp_path / name / "textured_meshlab_quart.obj")
+        assert [shape.kind for shape in release_object(tmp_path, name, "ycb", True).shapes] == kinds
+    assert [shape.kind for shape in release_object(tmp_path, "024_bowl", "ycb", True, "parts").shapes] == ["hull"] * 2
 
 
 def test_other_kinds_of_shape_are_left_alone(tmp_path: Path, cuts: list[PartSettings]) -> None:

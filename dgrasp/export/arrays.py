@@ -1,0 +1,91 @@
+"""A sequence as plain arrays for other programs: joint angles, poses, contacts, forces, and MANO's parameters."""
+
+from __future__ import annotations
+
+import io
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from dgrasp.export.sequence import StoredSequence
+from dgrasp.hand.mano_pose import mano_pose
+from dgrasp.hand.skeleton import DOF_NAMES, KEYPOINTS, PARTS
+from dgrasp.hand.surface import mano_of_hand
+from dgrasp.types import Array
+from dgrasp.view.meshes import table_tops
+from raisim_like.rotations import quaternion_from_matrix
+
+UNITS = "m, rad, s, N; world frame, z up; quaternions w, x, y, z; Euler angles intrinsic XYZ"
+
+
+def npz_bytes(sequence: StoredSequence, mano: Path | None = None) -> bytes:
+    """The arrays of `sequence_arrays` and a JSON text `meta` with their names, units and origin."""
+    record, about = sequence.record, sequence.about
+    meta = {
+        "format": "dgrasp-export", "schema": 1, "units": UNITS, "object": record.label.object_id,
+        "index": record.label.index, "label_source": record.label.source, "hand": record.label.hand,
+        "method": about["method"], "engine": about["engine"], "data": about["data"], "row": about["row"],
+        "dt": record.dt, "window_start": record.window_start, "terminated": record.terminated,
+        "joints": list(DOF_NAMES[6:]), "parts": list(PARTS), "keypoints": list(KEYPOINTS), "mano": mano_note(sequence),
+    }  # fmt: skip
+    stream = io.BytesIO()
+    packed: dict[str, Any] = {"meta": np.array(json.dumps(meta, allow_nan=False)), **sequence_arrays(sequence, mano)}
+    np.savez_compressed(stream, **packed)
+    return stream.getvalue()
+
+
+def sequence_arrays(sequence: StoredSequence, mano: Path | None = None) -> dict[str, Array]:
+    """Arrays of T steps, as docs/export.md lists them.
+
+    mano: the MANO file that the hand was made from, for `mano_transl` where the sequence does not know the root joint.
+    Raises `DataError` for another file than that.
+    """
+    record = sequence.record
+    arrays = {
+        "time_s": np.arange(len(record.gc)) * record.dt,
+        "joint_angles": record.gc[:, 6:],
+        "wrist_position": record.T_WH[:, :3, 3],
+        "wrist_quaternion": quaternion_from_matrix(record.T_WH[:, :3, :3]),
+        "object_position": record.T_WO[:, :3, 3],
+        "object_quaternion": quaternion_from_matrix(record.T_WO[:, :3, :3]),
+        "keypoints": record.joints_W,
+        "contacts": np.asarray(record.contacts) > 0,
+        "contact_force": record.contact_impulse / sequence.about["timestep_s"],
+        "table_contact": np.asarray(record.table_contact, dtype=bool),
+        "table_top": table_tops(record, sequence.about["table"]["top_m"], sequence.about["table"]["lowered_m"]),
+    }  # fmt: skip
+    if record.target_T_WO is not None:
+        arrays["object_target"] = np.broadcast_to(record.target_T_WO, (len(record.gc), 4, 4))
+    return arrays | _mano(sequence, mano)
+
+
+def mano_note(sequence: StoredSequence) -> str:
+    """Which MANO parameters the arrays hold, or why there are none."""
+    origin, hand = sequence.about["mano"], sequence.record.label.hand
+    if origin is None:
+        return f"none: the hand {hand!r} was not made from a MANO file"
+    return (f"{origin['side']} hand; mano_hand_pose counts from the flat hand (flat_hand_mean=True), rotation vectors "
+            "in MANO's order of fingers; the wrist is at root joint + mano_transl")
+
+
+def _mano(sequence: StoredSequence, file: Path | None) -> dict[str, Array]:
+    origin, record = sequence.about["mano"], sequence.record
+    if origin is None:
+        return {}
+    # Ten zeros are the mean shape, and what MANO's layers expect.
+    betas = np.zeros(max(10, len(origin["betas"])))
+    betas[: len(origin["betas"])] = origin["betas"]
+    arrays = {
+        "mano_global_orient": Rotation.from_matrix(record.T_WH[:, :3, :3]).as_rotvec(),
+        "mano_hand_pose": mano_pose(record.gc[:, 6:]),
+        "mano_betas": betas,
+    }
+    root = origin.get("root_joint")
+    if file is not None:
+        root = mano_of_hand(file, sequence.meshes.offsets, record.label.hand, origin)[2][0]
+    if root is not None:
+        arrays["mano_transl"] = record.T_WH[:, :3, 3] - np.asarray(root)
+    return arrays

@@ -1,0 +1,39 @@
+"""Sets of objects by name: the paper's six splits into seen and unseen objects (supplement, "Generalization to Unseen
+Objects").
+
+Three objects are left out of training, and the policy is tested on all labels of these three.
+"""
+
+from __future__ import annotations
+
+import re
+
+from dgrasp.errors import DataError
+from dgrasp.objects.names import YCB_NAMES
+
+UNSEEN: dict[int, tuple[str, str, str]] = {
+    1: ("004_sugar_box", "005_tomato_soup_can", "006_mustard_bottle"),
+    2: ("061_foam_brick", "010_potted_meat_can", "052_extra_large_clamp"),
+    3: ("003_cracker_box", "007_tuna_fish_can", "011_banana"),
+    4: ("002_master_chef_can", "036_wood_block", "052_extra_large_clamp"),
+    5: ("008_pudding_box", "019_pitcher_base", "035_power_drill"),
+    6: ("005_tomato_soup_can", "037_scissors", "040_large_marker"),
+}
+"""The paper's test sets by their numbers."""
+
+_SET = re.compile(r"(seen|unseen)_(\d+)")
+
+
+def object_set(name: str) -> set[str] | None:
+    """The objects of "unseen_1" to "unseen_6", or of "seen_1" to "seen_6", which are all others; None for other names.
+
+    Raises `DataError` for a number that the paper does not have.
+    """
+    match = _SET.fullmatch(name)
+    if match is None:
+        return None
+    if int(match[2][:3]) not in UNSEEN:
+        raise DataError(f"no set of objects {name[:40]!r}; expected seen_1 to seen_{len(UNSEEN)} or unseen_1 to "
+                        f"unseen_{len(UNSEEN)}, the paper's sets")
+    left_out = set(UNSEEN[int(match[2][:3])])
+    return left_out if match[1] == "unseen" else set(YCB_NAMES.values()) - left_out

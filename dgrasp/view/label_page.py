@@ -1,0 +1,80 @@
+"""A page with a picture of every label, the worst first: one file, to be opened without anything else."""
+
+from __future__ import annotations
+
+import base64
+import html
+import io
+from collections.abc import Iterable, Mapping, Sequence
+
+import numpy as np
+from PIL import Image
+
+from dgrasp.config import PhysicsConfig
+from dgrasp.hand.model import HandModel
+from dgrasp.labels.measure import Finding
+from dgrasp.objects.model import ObjectModel
+from dgrasp.scene.scene import TABLE_TOP, Scene
+from dgrasp.types import Array, GraspLabel
+from dgrasp.view.frames import HAND_COLOR, OBJECT_COLOR, TABLE_COLOR
+
+SIZE = (280, 210)
+_EYE = np.array([0.36, -0.32, 0.26])
+_NO_TABLE = -10.0
+_STYLE = """
+body { font: 14px/1.4 system-ui, sans-serif; margin: 2em; color: #222; }
+.labels { display: grid; grid-template-columns: repeat(auto-fill, minmax(280px, 1fr)); gap: 1em; }
+figure { margin: 0; border: 1px solid #ddd; } figure.bad { border-color: #c33; }
+img { width: 100%; display: block; } figcaption { padding: .5em; } .problem { color: #c33; }
+table { border-collapse: collapse; margin: 1em 0; } td, th { padding: .1em .8em; text-align: right; }
+td:first-child, th:first-child { text-align: left; }
+"""
+
+
+def label_pictures(
+    labels: Sequence[GraspLabel], hand: HandModel, objects: Mapping[str, ObjectModel]
+) -> dict[int, Array]:
+    """Pictures (height, width, 3) uint8 of the grasps, by the labels' places; one scene per object draws them all."""
+    pictures: dict[int, Array] = {}
+    for name in dict.fromkeys(label.object_id for label in labels):
+        scene = Scene(hand, objects[name], PhysicsConfig(), "pybullet")
+        try:
+            world = scene.world.engine_world
+            for body, color in ((scene.hand, HAND_COLOR), (scene.object, OBJECT_COLOR), (scene.table, TABLE_COLOR)):
+                world.set_color(body.id, color)
+            for i, label in enumerate(labels):
+                if label.object_id == name:
+                    top = TABLE_TOP if label.on_table else _NO_TABLE
+                    scene.place(label.T_WH, label.hand_pose, label.T_WO, top)
+                    pictures[i] = world.render(label.T_WO[:3, 3] + _EYE, label.T_WO[:3, 3], *SIZE).copy()
+        finally:
+            scene.close()
+    return pictures
+
+
+def label_page(title: str, summary: Iterable[str], findings: Sequence[Finding], pictures: Mapping[int, Array]) -> str:
+    """The page. summary: lines above the pictures. pictures: by the findings' places."""
+    order = sorted(range(len(findings)), key=lambda i: -findings[i].badness)
+    head = "".join(f"<li>{html.escape(line)}</li>" for line in summary)
+    body = "\n".join(_figure(findings[i], pictures.get(i)) for i in order)
+    return (f"<!doctype html>\n<html lang=\"en\"><head><meta charset=\"utf-8\"><title>{html.escape(title)}</title>"
+            f"<style>{_STYLE}</style></head>\n<body><h1>{html.escape(title)}</h1><ul>{head}</ul>\n"
+            f"<div class=\"labels\">\n{body}\n</div></body></html>\n")
+
+
+def _figure(finding: Finding, picture: Array | None) -> str:
+    depth = "not measured" if finding.penetration_cm3 is None else f"{finding.penetration_cm3:.1f} cm3"
+    table = "no table" if finding.table_mm is None else f"{finding.table_mm:+.1f} mm over the table"
+    text = (f"penetration {depth}, distance {finding.distance_mm:.1f} mm, {finding.contacts} goal contacts, "
+            f"{finding.beyond_limits} angles beyond limits (by up to {finding.limit_excess_deg:.0f} degrees), {table}")
+    problems = "".join(f"<div class=\"problem\">{html.escape(problem)}</div>" for problem in finding.problems)
+    image = "" if picture is None else f"<img alt=\"the grasp\" src=\"{_data_url(picture)}\">"
+    kind = "bad" if problems else "sound"
+    return (f"<figure class=\"{kind}\">{image}<figcaption><b>{html.escape(finding.label.name)}</b>"
+            f"{problems}<div>{html.escape(text)}</div></figcaption></figure>")
+
+
+def _data_url(picture: Array) -> str:
+    stream = io.BytesIO()
+    Image.fromarray(picture).save(stream, "JPEG", quality=82)
+    return "data:image/jpeg;base64," + base64.b64encode(stream.getvalue()).decode("ascii")
