@@ -115,7 +115,7 @@ def _thumb_base(mesh: RingMesh, vertices: Array) -> Array:
         np.add.at(total, edges[:, 0], share[edges[:, 1]])
         np.add.at(total, edges[:, 1], share[edges[:, 0]])
         share = np.where(still | whole, share, (share + total / degree) / 2.0)
-    return share
+    return np.where(share < 0.01, 0.0, share)
 
 
 def _smooth(x: Array) -> Array:
@@ -138,8 +138,9 @@ def regressor(vertices: Array, joints: Array, moved: Array) -> Array:
             equal = np.full(len(chosen), 1.0 / len(chosen))
             rows = np.vstack([np.ones(len(chosen)), (vertices[chosen] - joints[part]).T])
             lack = np.array([1.0, 0.0, 0.0, 0.0]) - rows @ equal
+            # A single ring lies in a plane: its distance from that is no direction to solve along.
             found[part] = 0.0
-            found[part, chosen] = equal + rows.T @ np.linalg.solve(rows @ rows.T, lack)
+            found[part, chosen] = equal + np.linalg.lstsq(rows, lack, rcond=1e-6)[0]
             near &= found[part] > 0.0
     return found
 

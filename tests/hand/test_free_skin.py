@@ -13,10 +13,12 @@ from dgrasp.cli import run_command
 from dgrasp.errors import DataError
 from dgrasp.geometry.intersection import body, join
 from dgrasp.hand import approximate
+from dgrasp.hand.build import DENSITY
 from dgrasp.hand.free_anatomy import BONES, HAND_BREADTH
 from dgrasp.hand.free_flesh import Flesh, field, onto_surface
 from dgrasp.hand.free_rings import CUT, INDEX_BREADTH, THUMB_BREADTH, THUMB_THICKNESS, digit
 from dgrasp.hand.free_skin import MEMBERS, free_limits, free_skin, read_skin, skin_path
+from dgrasp.hand.limits import mirror_limits
 from dgrasp.hand.make_skin import SHAPES, main, rest_joints
 from dgrasp.hand.mano_model import MIRROR, PART_TO_MANO, ManoModel
 from dgrasp.hand.mano_pose import from_pca, project_pose
@@ -67,10 +69,9 @@ def edge_count(faces: Array) -> tuple[Array, Array]:
 def slice_at(model: ManoModel, axis: int, value: float) -> Array:
     """(N, 3) where the edges of the mean hand cross a plane."""
     ends = model.template[edge_count(model.faces)[0]]
-    low, high = ends[:, 0, axis] - value, ends[:, 1, axis] - value
-    cross = low * high < 0
-    share = (low / (low - high))[cross, None]
-    return ends[cross, 0] * (1 - share) + ends[cross, 1] * share
+    ends = ends[(ends[:, 0, axis] < value) != (ends[:, 1, axis] < value)]
+    share = (value - ends[:, :1, axis]) / (ends[:, 1:, axis] - ends[:, :1, axis])
+    return ends[:, 0] * (1 - share) + ends[:, 1] * share
 
 
 def test_the_shipped_file_is_what_the_generator_writes(tmp_path: Path) -> None:
@@ -142,7 +143,7 @@ def test_weights_are_local_and_sum_to_one(model: ManoModel) -> None:
         at = model.template - own.origin
         along = np.clip(at @ own.along, 0.0, sum(BONES[finger]))
         away = np.linalg.norm(at - along[:, None] * own.along, axis=1)
-        assert away[mine > 0].max() < (0.040 if finger == "thumb" else 0.030), finger
+        assert away[mine > 0].max() < (0.045 if finger == "thumb" else 0.030), finger
         assert weights[model.tip_vertices[index], 3 + 3 * index] == 1.0
     # Two digits share skin only in the webs, where neither has more than half (next to the thumb a little more).
     digits = np.stack([weights[:, 1 + 3 * f : 4 + 3 * f].sum(axis=1) for f in range(5)], axis=1)
@@ -201,8 +202,9 @@ def test_bent_knuckles_keep_more_flesh_than_by_blending_alone(model: ManoModel) 
     at = model.template[pip] - rest_joints()[2]
     top = pip[(at @ digit("index").back).argmax()]
     vertices, keypoints = posed(model, angles_of({"index_middle": (0.0, 0.0, 90.0)}))
-    height = np.linalg.norm(vertices[top] - keypoints[2])
-    rest = np.linalg.norm(model.template[top] - rest_joints()[2])
+    # In the plane of the motion, across the axis z.
+    height = np.linalg.norm((vertices[top] - keypoints[2])[:2])
+    rest = np.linalg.norm((model.template[top] - rest_joints()[2])[:2])
     # Half of each of two frames at right angles: 1 / sqrt(2) of the height, and a quarter more with the correction.
     assert height / rest == pytest.approx(1.25 / np.sqrt(2.0), abs=0.01)
 
@@ -300,26 +302,23 @@ def test_the_field_of_one_body_is_known() -> None:
     assert np.abs(field(there, cone)[0]).max() < 1e-6
 
 
-def test_built_hands_of_the_skin(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(approximate, "_FIT_POINTS", 1500)
-    monkeypatch.setattr(approximate, "_REPORT_POINTS", 6000)
-    assert run_command("hand build", ["--free", "--shapes", "hulls", "--out", str(tmp_path / "right")]) == 0
-    words = ["--free", "--side", "left", "--betas", "1", "0.5", "--shapes", "hulls", "--out", str(tmp_path / "left")]
+def test_a_hand_built_of_the_skin(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(approximate, "_FIT_POINTS", 500)
+    monkeypatch.setattr(approximate, "_REPORT_POINTS", 1500)
+    words = ["--free", "--side", "left", "--betas", "1", "0.5", "--out", str(tmp_path / "left")]
     assert run_command("hand build", words) == 0
-    own, right, left = free_hand(), open_hand(str(tmp_path / "right")), open_hand(str(tmp_path / "left"))
-    assert right.model.id.startswith("free_right-") and left.model.id.startswith("free_left-")
-    assert right.meta["licence"].startswith("MIT") and left.meta["side"] == "left"
-    assert np.abs(right.model.offsets - own.offsets).max() < 2e-6 and np.abs(right.model.tips - own.tips).max() < 2e-6
-    assert np.array_equal(right.model.limits, own.limits)
+    own, left = free_hand(), open_hand(str(tmp_path / "left"))
+    assert left.model.id.startswith("free_left-") and left.meta["side"] == "left"
+    assert left.meta["licence"].startswith("MIT") and left.meta["model_file"] == "free_skin.npz"
     _, joints = free_skin().shaped(np.array([1.0, 0.5]))
     steps = (joints[1:] - joints[list(PART_PARENT[1:])]) * MIRROR
     assert np.abs(left.model.offsets[1:] - steps).max() < 2e-6
-    # The skin itself is their surface.
-    for hand in (right, left):
-        surface = hand_surface(hand.model, None, hand.meta)
-        assert surface.kind == SKIN
-        whole = join(surface.pieces(np.eye(4), np.zeros(45))).solid.volume()
-        assert whole == pytest.approx(1100.0**-1 * hand.model.urdf.mass, rel=0.01)
+    assert np.abs(left.model.limits[6:] - mirror_limits(own.limits[6:])).max() < 6e-6
+    # The skin itself is its surface.
+    surface = hand_surface(left.model, None, left.meta)
+    assert surface.kind == SKIN
+    whole = join(surface.pieces(np.eye(4), np.zeros(45))).solid.volume()
+    assert DENSITY * whole == pytest.approx(left.model.urdf.mass, rel=0.01)
 
 
 def test_parts_in_manos_order_are_the_skeletons() -> None:

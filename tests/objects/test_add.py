@@ -1,0 +1,192 @@
+"""From a mesh file to an object in a folder: mass, cache, what is written and what is refused."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+from PIL import Image
+
+from dgrasp.errors import DataError
+from dgrasp.objects import add
+from dgrasp.objects.add import Mass, add_object
+from dgrasp.objects.body import object_body
+from dgrasp.objects.store import META_FILE, default_store, find_object, load_object
+from dgrasp.paths import data_root
+from raisim_like.shapes import Shape
+from tests.objects.meshes import SIZE, VOLUME, box, save
+
+
+@pytest.fixture(autouse=True)
+def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A cache of the test's own."""
+    monkeypatch.setenv("DGRASP_CACHE", str(tmp_path / "cache"))
+    return tmp_path / "cache" / "objects"
+
+
+@pytest.fixture
+def file(tmp_path: Path) -> Path:
+    """A box in millimetres, away from its origin."""
+    return save(box(center=(0.01, 0.0, 0.0)), tmp_path / "box.stl", 1000.0)
+
+
+def add_box(file: Path, to: Path, name: str = "box", mass: Mass | None = None, replace: bool = False) -> add.Added:
+    return add_object(file, to, name, "mm", mass, "box", replace=replace)
+
+
+def test_mass_and_inertia_by_density(file: Path, tmp_path: Path) -> None:
+    added = add_box(file, tmp_path / "objects")
+    model = load_object(added.folder, official_compat=False)
+    # 120 cm3 at 500 kg/m3; I = m / 12 (b^2 + c^2).
+    assert model.name == "box" and model.mass == pytest.approx(0.06) and added.meta["source"]["units"] == "mm"
+    assert model.center_of_mass_O == pytest.approx((0.01, 0.0, 0.0), abs=1e-8)
+    x, y, z = (side**2 for side in SIZE)
+    assert model.inertia == pytest.approx(0.06 / 12 * np.diag([y + z, x + z, x + y]), abs=1e-10)
+    (shape,) = model.shapes
+    assert shape.kind == "box" and shape.position == pytest.approx((0.01, 0.0, 0.0), abs=1e-6)
+    assert object_body(model, tmp_path / "nowhere").body.solid.volume() == pytest.approx(VOLUME, rel=1e-4)
+    compatible = load_object(added.folder, official_compat=True)
+    assert np.array_equal(compatible.inertia, np.eye(3)) and compatible.center_of_mass_O[0] == pytest.approx(0.01)
+
+
+def test_mass_center_and_inertia_given(file: Path, tmp_path: Path) -> None:
+    mass = Mass(0.3, center=np.array([0.02, 0.0, 0.01]), inertia=np.diag([1e-4, 2e-4, 2.5e-4]))
+    model = load_object(add_box(file, tmp_path, "heavy", mass).folder, official_compat=False)
+    assert model.mass == 0.3 and model.center_of_mass_O.tolist() == [0.02, 0.0, 0.01]
+    assert np.diag(model.inertia).tolist() == [1e-4, 2e-4, 2.5e-4]
+    by_mass = load_object(add_box(file, tmp_path, "by_mass", Mass(0.12)).folder, official_compat=False)
+    assert by_mass.inertia[0, 0] == pytest.approx(0.12 / 12 * (0.05**2 + 0.04**2), rel=1e-4)
+    assert add_box(file, tmp_path, "dense", Mass(density=1000.0)).meta["mass_kg"] == pytest.approx(0.12)
+
+
+@pytest.mark.parametrize(
+    ("mass", "reason"),
+    [
+        (Mass(0.0), "a mass of 0 kg"),
+        (Mass(1e4), "expected 0.1 g to 100 kg"),
+        (Mass(density=float("inf")), "a mass of inf kg"),
+        (Mass(center=np.array([0.5, 0.0, 0.0])), "the centre of mass .* lies outside"),
+        (Mass(inertia=np.diag([1.0, 1.0, 3.0])), "no body has the principal moments 1, 1, 3"),
+        (Mass(inertia=np.diag([1.0, 1.0, -1.0])), "no body has the principal moments"),
+        (Mass(inertia=np.full((3, 3), np.nan)), "not a symmetric matrix"),
+    ],
+)
+def test_masses_that_no_body_has(file: Path, tmp_path: Path, mass: Mass, reason: str) -> None:
+    with pytest.raises(DataError, match=reason):
+        add_box(file, tmp_path / "objects", mass=mass)
+    assert not (tmp_path / "objects").exists()
+
+
+def test_the_same_content_is_not_computed_again(
+    file: Path, tmp_path: Path, cache: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    first = add_box(file, tmp_path / "a")
+    assert not first.cached and len(list(cache.iterdir())) == 1
+    made = list(cache.rglob("*"))
+
+    def never(*_: object) -> None:
+        raise AssertionError("computed again")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(add, "_make", never)
+        copy = file.with_name("other.stl")
+        copy.write_bytes(file.read_bytes())
+        again = add_box(copy, tmp_path / "b", "other", Mass(1.0))
+        assert again.cached and again.meta["mass_kg"] == 1.0 and again.meta["shapes"] == first.meta["shapes"]
+        assert add_box(file, tmp_path / "a").meta == first.meta
+        with pytest.raises(AssertionError, match="computed again"):
+            add_object(file, tmp_path / "c", "box", "mm", None, "sphere")
+    # A damaged entry is made anew.
+    next(path for path in made if path.name == "mesh.obj").write_text("v 0 0 0\n")
+    assert not add_box(file, tmp_path / "d").cached
+
+
+def test_a_cache_that_cannot_be_written_is_done_without(
+    file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "blocked").write_text("a file")
+    monkeypatch.setenv("DGRASP_CACHE", str(tmp_path / "blocked"))
+    assert not add_box(file, tmp_path / "a").cached and (tmp_path / "a" / "box" / META_FILE).is_file()
+
+
+def test_nothing_is_overwritten_unasked(file: Path, tmp_path: Path) -> None:
+    first = add_box(file, tmp_path)
+    before = (first.folder / META_FILE).read_bytes()
+    with pytest.raises(DataError, match="exists already and is another object; choose another --name, or --replace"):
+        add_box(file, tmp_path, mass=Mass(0.5))
+    assert (first.folder / META_FILE).read_bytes() == before
+    replaced = add_box(file, tmp_path, mass=Mass(0.5), replace=True)
+    assert load_object(replaced.folder, False).mass == 0.5 and replaced.meta["id"] != first.meta["id"]
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "notes.txt").write_text("dear")
+    with pytest.raises(DataError, match="exists already"):
+        add_box(file, tmp_path, "mine", replace=True)
+    assert (tmp_path / "mine" / "notes.txt").read_text() == "dear"
+    assert not [path for path in tmp_path.iterdir() if path.name.startswith(".")]
+
+
+def test_the_picture_shows_mesh_and_shapes(file: Path, tmp_path: Path) -> None:
+    image = np.asarray(Image.open(add_box(file, tmp_path).folder / "picture.png").convert("RGB")).astype(int)
+    assert image.shape == (640, 640, 3)
+    left, right = image[20:, :320], image[20:, 320:]
+    # The mesh is blue, shapes are brown.
+    blue, brown = left[..., 2] > left[..., 0] + 30, right[..., 0] > right[..., 2] + 30
+    assert 0.05 < blue.mean() < 0.8 and 0.05 < brown.mean() < 0.8
+
+
+def test_files_that_were_changed_are_refused(file: Path, tmp_path: Path) -> None:
+    folder = add_box(file, tmp_path).folder
+    meta = json.loads((folder / META_FILE).read_text())
+    for change, reason in (
+        ({"schema": 9}, "not the description of an object"),
+        ({"mass_kg": -1.0}, "out of range"),
+        ({"shapes": []}, "out of range"),
+        ({"shapes": [{**meta["shapes"][0], "size": [1.0]}]}, "out of range"),
+        ({"shapes": [{**meta["shapes"][0], "kind": "hull", "size": [], "file": "../x.obj"}]}, "out of range"),
+        ({"files": {"mesh.obj": "0" * 64}}, r"mesh\.obj is missing or was changed"),
+        ({"files": {"../mesh.obj": "0" * 64}}, "out of range"),
+        ({"name": "other"}, "out of range"),
+    ):
+        (folder / META_FILE).write_text(json.dumps(meta | change))
+        with pytest.raises(DataError, match=reason):
+            load_object(folder, False)
+    (folder / META_FILE).write_text("{")
+    with pytest.raises(DataError, match="cannot be read"):
+        load_object(folder, False)
+
+
+def test_an_object_of_parts_brings_its_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def halves(file: Path) -> tuple[Shape, ...]:
+        sides = (box((0.03, 0.05, 0.04), (x, 0.0, 0.0)) for x in (-0.015, 0.015))
+        return tuple(Shape("hull", file=save(side, file.with_name(f"{i}.obj"))) for i, side in enumerate(sides))
+
+    monkeypatch.setattr("dgrasp.objects.fit.convex_parts", halves)
+    added = add_object(save(box(), tmp_path / "a.glb"), tmp_path, "a", choice="parts")
+    model = load_object(added.folder, False, parts=True)
+    assert added.meta["figures"]["overlap"] == pytest.approx(1.0) and len(model.shapes) == 2
+    for shape in model.shapes:
+        assert shape.kind == "hull" and shape.file is not None and shape.file.parent == added.folder.absolute()
+        assert trimesh.load(shape.file, force="mesh").volume == pytest.approx(VOLUME / 2)
+
+
+def test_an_engine_that_takes_no_triangles_gets_parts(
+    file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    added = add_object(file, tmp_path, "a", "mm", choice="mesh")
+    seen: list[Path] = []
+    monkeypatch.setattr("dgrasp.objects.store.convex_parts", lambda path: seen.append(path) or ("parts",))
+    assert load_object(added.folder, False).shapes[0].kind == "mesh" and not seen
+    assert load_object(added.folder, False, parts=True).shapes == ("parts",)
+    assert [path.parent for path in seen] == [added.folder.absolute()]
+
+
+def test_where_objects_are_looked_for(file: Path, tmp_path: Path) -> None:
+    added = add_box(file, tmp_path / "b", "cup")
+    found = find_object("cup", [tmp_path / "a", tmp_path / "b"])
+    assert found.folder == added.folder and found.id == added.meta["id"] and found.id.startswith("cup-")
+    with pytest.raises(DataError, match=r"unknown object 'cub'.*there: cup\).*did you mean 'cup'.*dgrasp object add"):
+        find_object("cub", [tmp_path / "a", tmp_path / "b"])
+    assert default_store() == data_root() / "objects"

@@ -1,0 +1,108 @@
+"""Which shape is chosen, and that its overlap is the volume overlap."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+from dgrasp.objects import fit
+from dgrasp.objects.fit import fit_primitive, fit_shapes, union_overlap
+from dgrasp.objects.repair import Solid, repair
+from raisim_like.shapes import Shape
+from tests.objects.meshes import SIZE, box, save
+
+
+def solid(mesh: trimesh.Trimesh) -> Solid:
+    return repair(np.asarray(mesh.vertices), np.asarray(mesh.faces))
+
+
+def turned(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
+    """Askew and away from the origin."""
+    made = mesh.copy()
+    made.apply_transform(trimesh.transformations.rotation_matrix(0.7, (1.0, 2.0, 0.5), (0.1, 0.0, 0.2)))
+    return made
+
+
+TORUS = trimesh.creation.torus(0.05, 0.015, major_sections=48, minor_sections=24)
+
+
+@pytest.fixture
+def hull_for_parts(monkeypatch: pytest.MonkeyPatch) -> Callable[[float], None]:
+    """Instead of a convex decomposition, which takes long: the mesh's own hull, shrunk to a share of its size."""
+
+    def set_share(share: float) -> None:
+        def parts(file: Path) -> tuple[Shape, ...]:
+            hull = trimesh.load(file, force="mesh").convex_hull
+            return (Shape("hull", file=save(hull, file.with_name("hull.obj"), share)),)
+
+        monkeypatch.setattr(fit, "convex_parts", parts)
+
+    return set_share
+
+
+def test_overlap_by_hand() -> None:
+    a = solid(box())
+    # Half a length along: the intersection is a half, the union one and a half. Two shapes count as their union.
+    shifted = Shape("box", SIZE, (0.03, 0.0, 0.0))
+    assert union_overlap(a, (shifted,)) == pytest.approx(1 / 3)
+    assert union_overlap(a, (shifted, shifted, Shape("box", SIZE))) == pytest.approx(2 / 3)
+    assert union_overlap(a, (Shape("box", SIZE, (0.5, 0.0, 0.0)),)) == 0.0
+    assert union_overlap(a, (Shape("box", SIZE),)) == pytest.approx(1.0)
+
+
+def test_a_box_is_found_exactly_however_it_lies(tmp_path: Path) -> None:
+    made = fit_shapes(solid(turned(box())), tmp_path)
+    assert made.kind == "box" and made.overlap == pytest.approx(1.0, abs=1e-4) and not list(tmp_path.iterdir())
+    assert sorted(made.shapes[0].size) == pytest.approx(sorted(SIZE), abs=1e-5)
+    assert set(made.tried) == {"box", "cylinder", "sphere", "capsule"} and made.tried["sphere"] < 0.8
+
+
+@pytest.mark.parametrize(
+    ("kind", "mesh", "size"),
+    [
+        ("cylinder", trimesh.creation.cylinder(0.03, 0.1, sections=48), (0.03, 0.1)),
+        ("sphere", trimesh.creation.icosphere(3, 0.04), (0.04,)),
+        ("capsule", trimesh.creation.capsule(0.06, 0.02, count=(24, 24)), (0.02, 0.06)),
+    ],
+)
+def test_round_shapes_are_found(kind: str, mesh: trimesh.Trimesh, size: tuple[float, ...]) -> None:
+    found = fit_primitive(solid(turned(mesh)), kind)
+    assert found is not None and found[0].kind == kind and found[1] > 0.97
+    assert found[0].size == pytest.approx(size, rel=0.02)
+
+
+def test_a_thin_sheet_is_a_box(tmp_path: Path) -> None:
+    made = fit_shapes(solid(turned(box((0.2, 0.15, 0.0005)))), tmp_path, "box")
+    assert made.overlap > 0.99 and min(made.shapes[0].size) == pytest.approx(0.0005, rel=0.01)
+
+
+def test_a_torus_is_no_primitive(tmp_path: Path, hull_for_parts: Callable[[float], None]) -> None:
+    hull_for_parts(1.0)
+    made = fit_shapes(solid(TORUS), tmp_path)
+    # The hull fills the hole: 2 pi^2 R r^2 = 222 cm3 of about 361 cm3.
+    assert made.kind == "parts" and made.overlap == pytest.approx(0.615, abs=0.02)
+    assert all(made.tried[kind] < 0.7 for kind in ("box", "cylinder", "sphere", "capsule"))
+
+
+def test_parts_that_are_no_good_give_way_to_triangles(tmp_path: Path, hull_for_parts: Callable[[float], None]) -> None:
+    hull_for_parts(0.3)
+    made = fit_shapes(solid(TORUS), tmp_path, threshold=0.99)
+    assert made.kind == "mesh" and made.tried["parts"] < 0.2 and made.overlap > 0.9
+    (shape,) = made.shapes
+    assert shape.kind == "mesh" and shape.file is not None
+    faces = trimesh.load(shape.file, force="mesh").faces
+    assert len(TORUS.faces) == 2304 and len(faces) <= fit.COLLISION_FACES
+
+
+def test_the_choice_can_be_made_by_hand(tmp_path: Path, hull_for_parts: Callable[[float], None]) -> None:
+    hull_for_parts(0.3)
+    assert fit_shapes(solid(TORUS), tmp_path, "parts").kind == "parts"
+    made = fit_shapes(solid(TORUS), tmp_path, "sphere")
+    assert made.kind == "sphere" and made.overlap < 0.6 and set(made.tried) == {"sphere"}
+    # By volume: r^3 = 3 / (4 pi) 2 pi^2 R r^2.
+    assert made.shapes[0].size[0] ** 3 == pytest.approx(1.5 * np.pi * 0.05 * 0.015**2, rel=0.03)
+    assert fit_shapes(solid(box()), tmp_path, "mesh").overlap == pytest.approx(1.0)
