@@ -190,12 +190,15 @@ class PoolConfig(_Section):
     """Where the environments run.
 
     workers: null takes as many as there are cores. hang_s: seconds without a control step after which a
-    worker is taken to hang, and is replaced.
+    worker is taken to hang, and is replaced. For "ray" alone: address of the cluster (auto, HOST:PORT; null starts
+    one on this machine); patience: an actor that takes this many times as long as the others is left behind.
     """
 
-    kind: Literal["process", "serial"] = "process"
+    kind: Literal["process", "serial", "ray"] = "process"
     workers: Count | None = None
     hang_s: Positive = 120.0
+    address: str | None = None
+    patience: Annotated[float, Field(ge=1)] = 3.0
 
 
 class CheckpointConfig(_Section):

@@ -19,8 +19,11 @@ from tests.reference import reference_or_skip
 
 PACKAGES = ("dgrasp", "raisim_like")
 BUNDLED = "dgrasp/_bundled/"
-IMPORTED_AS = {"fast-simplification": "fast_simplification", "pillow": "PIL", "pyyaml": "yaml"}
+IMPORTED_AS = {
+    "fast-simplification": "fast_simplification", "imageio-ffmpeg": "imageio_ffmpeg", "pillow": "PIL", "pyyaml": "yaml",
+}  # fmt: skip
 """Distributions whose modules have another name."""
+PAGE = ("page.js", "report.css", "viewer.js")
 JUNK = (
     "data/dexycb/labels/dexycb_train_labels.pkl",
     "data/my_grasps.npz",
@@ -96,9 +99,10 @@ def test_the_bundle_is_the_configurations_and_the_free_set(contents: dict[str, b
 
 
 def test_nothing_else_is_in_the_wheel(contents: dict[str, bytes]) -> None:
-    assert "dgrasp/eval/paper_tables.yaml" in contents
+    carried = {"dgrasp/eval/paper_tables.yaml", *(f"dgrasp/report/{name}" for name in PAGE)}
+    assert carried <= set(contents)
     others = {name for name in contents if not name.endswith(".py") and not name.startswith(BUNDLED)}
-    assert {name for name in others if ".dist-info/" not in name} == {"dgrasp/eval/paper_tables.yaml"}
+    assert {name for name in others if ".dist-info/" not in name} == carried
     assert b"junk" not in contents.values()
 
 

@@ -61,7 +61,7 @@ def palm_flesh() -> tuple[Flesh, ...]:
         bodies += [
             # The metacarpal under the back's skin, the pad in front of it, the first phalanx.
             Flesh(_by(base, 0.0, -0.001, 0.0), head, (0.0090, 0.0096 * size)),
-            Flesh(_by(base, -0.020, -0.009, 0.0), _by(head, 0.005, -0.0105, 0.0), (0.0055, 0.0092 * size)),
+            Flesh(_by(base, -0.020, -0.009, 0.0), _by(head, 0.003, -0.0125, 0.0), (0.0055, 0.0094 * size)),
             Flesh(_by(head, 0.0, -0.0025, 0.0), _by(end, 0.0, -0.001, 0.0), (0.0092 * size, 0.0086 * size)),
         ]
     for pair in pairwise(heads):

@@ -29,6 +29,8 @@ from raisim_like.rotations import transform
 MAX_POSE_BYTES = 16 * 2**20
 """Largest pose.npz (72 frames have some tens of kilobytes)."""
 MAX_FRAMES, MAX_OBJECTS = 10_000, 21
+LEAST_HEIGHT = 0.1
+"""m. The middle one of the cameras is at least this far from the table's plane."""
 _ID = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,99}")
 _FLIP = np.diag([1.0, -1.0, -1.0])
 _T = TypeVar("_T")
@@ -168,10 +170,12 @@ class Calibration:
         T = {str(key): _rigid(value, f"{path}: {str(key)[:50]}") for key, value in poses.items()}
         T_CT = T.pop("apriltag")
         heights = [float(T_CT[:3, 2] @ (T_CS[:3, 3] - T_CT[:3, 3])) for T_CS in T.values()]
-        if min(heights) < 0.0 < max(heights):
-            raise DataError(f"{path}: cameras on both sides of the tag's plane; expected all above the table")
+        side = float(np.median(heights))
+        if abs(side) < LEAST_HEIGHT:
+            raise DataError(f"{path}: cameras on both sides of the tag's plane, or in it; expected most of them more "
+                            f"than {LEAST_HEIGHT:g} m above the table; get the file again")
         R = T_CT[:3, :3].T
-        if max(heights) <= 0.0:
+        if side < 0.0:
             self.flipped.add(extrinsics)
             R = _FLIP @ R
         return transform(R, np.array([0.0, 0.0, TABLE_TOP]) - R @ T_CT[:3, 3])

@@ -11,7 +11,7 @@ import yaml
 from dgrasp.errors import DataError
 from dgrasp.types import Array
 
-MAX_BYTES = 200_000
+MAX_BYTES = 50_000
 """Largest file that is read (DexYCB's have some kilobytes)."""
 
 

@@ -36,6 +36,7 @@ SURFACE_FACES = 20_000
 _VERSION = 1
 """Counts changes of what is made of the same file and choices."""
 _MADE = "made.json"
+_SHOWN = ("repairs", "faces", "bounds_m", "volume_m3", "kind", "overlap", "tried")
 
 
 @dataclass(frozen=True)
@@ -82,7 +83,8 @@ def add_object(
         if before.get("id") == meta["id"]:
             return Added(before, folder, cached)
     if os.path.lexists(folder) and not (replace and os.path.isfile(folder / store.META_FILE)):
-        raise DataError(f"{file}: {folder} exists already and is another object; choose another --name, or --replace it")
+        raise DataError(f"{file}: {folder} exists already and is another object; choose another --name, or --replace "
+                        "it")
     _write(folder, made[1], meta)
     return Added(meta, folder, cached)
 
@@ -171,18 +173,23 @@ def _describe(name: str, mesh: MeshFile, made: Made, mass: Mass) -> dict[str, An
     volume = figures["volume_m3"]
     kg = mass.density * volume if mass.kg is None else mass.kg
     center = np.array(figures["center_m"]) if mass.center is None else mass.center
-    inertia = np.array(figures["inertia_per_density"]) * kg / volume if mass.inertia is None else mass.inertia
+    inertia = mass.inertia
+    if inertia is None:
+        with np.errstate(invalid="ignore"):  # Of an infinite mass; refused below.
+            inertia = np.array(figures["inertia_per_density"]) * kg / volume
     try:
         store.check_mass(kg, center, inertia)
     except ValueError as error:
-        raise DataError(f"{mesh.path}: {error} (volume {volume * 1e6:.4g} cm3); state --mass or --density, and in the right "
-                        "units") from None
+        raise DataError(f"{mesh.path}: {error} (volume {volume * 1e6:.4g} cm3); state --mass or --density, and in "
+                        "the right units") from None
     low, high = np.array(figures["bounds_m"])
     if ((center < low) | (center > high)).any():
-        raise DataError(f"{mesh.path}: the centre of mass {center.tolist()} lies outside of the object, which reaches from "
-                        f"{low.round(4).tolist()} to {high.round(4).tolist()} m; state --center in m, in the mesh's frame")
+        raise DataError(f"{mesh.path}: the centre of mass {center.tolist()} lies outside of the object, which reaches "
+                        f"from {low.round(4).tolist()} to {high.round(4).tolist()} m; state --center in m, in the "
+                        "mesh's frame")
     body = {
-        "mass_kg": float(kg), "center_of_mass_O": center.tolist(), "inertia": inertia.tolist(), "shapes": figures["shapes"],
+        "mass_kg": float(kg), "center_of_mass_O": center.tolist(), "inertia": inertia.tolist(),
+        "shapes": figures["shapes"],
         "files": {file: hashlib.sha256(content).hexdigest() for file, content in sorted(files.items())},
     }  # fmt: skip
     physics = {**body, "files": {file: digest for file, digest in body["files"].items() if file != store.PICTURE_FILE}}
@@ -191,7 +198,7 @@ def _describe(name: str, mesh: MeshFile, made: Made, mass: Mass) -> dict[str, An
         "format": store.FORMAT, "schema": store.SCHEMA, "name": name, "id": f"{name}-{identity}",
         "source": {"file": mesh.path.name, "sha256": mesh.sha256, "units": figures["units"]},
         "frame": "the file's own, in m", **body,
-        "figures": {key: figures[key] for key in ("repairs", "faces", "bounds_m", "volume_m3", "kind", "overlap", "tried")},
+        "figures": {key: figures[key] for key in _SHOWN},
     }  # fmt: skip
 
 

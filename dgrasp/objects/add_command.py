@@ -20,8 +20,8 @@ from dgrasp.objects.names import YCB_NAMES
 from dgrasp.objects.store import NAME, PICTURE_FILE, default_store
 
 HELP = """\
-Add an object from a mesh (OBJ, STL, PLY, GLB), or all of a folder: units checked, mesh repaired, collision shapes fitted,
-mass and inertia worked out, a picture drawn. Labels whose object has that name train and test from then on.
+Add an object from a mesh (OBJ, STL, PLY, GLB), or all of a folder: units checked, mesh repaired, collision shapes
+fitted, mass and inertia worked out, a picture drawn. Labels whose object has that name train and test from then on.
 
 examples:
   dgrasp object add cup.stl --units mm --mass 0.21
@@ -35,7 +35,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("mesh", type=Path, metavar="MESH|FOLDER", help=f"a file ({', '.join(FORMATS)}), or a folder")
     parser.add_argument("--name", help="the object's name in labels (default: the file's name)")
     parser.add_argument("--units", choices=("auto", *SCALES), default="auto",
-                        help="the file's unit of length (default: the only one that gives an object of 5 mm to 1 m)")
+                        help="the file's unit of length (default: the only one that gives an object of 1 to 50 cm)")
     weight = parser.add_mutually_exclusive_group()
     weight.add_argument("--mass", type=float, metavar="KG", help="the object's mass")
     weight.add_argument("--density", type=float, metavar="KG/M3", default=DENSITY,
@@ -127,8 +127,8 @@ def _print(added: list[Added]) -> None:
     table = Table("object", "unit", "sides mm", "faces", "cm3", "g", "collides as", "overlap", "repaired")
     for entry in added:
         table.add_row(*figures_row(entry.meta))
-    # No shorter than its longest line: a file that is written to keeps whole rows.
-    console = Console(highlight=False)
+    # In a file or a pipe rows stay whole.
+    console = Console(highlight=False, width=None if sys.stdout.isatty() else 200)
     console.print(table)
     for entry in added:
         known = " (known, nothing computed)" if entry.cached else ""

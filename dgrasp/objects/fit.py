@@ -1,4 +1,4 @@
-"""Which collision shape stands for a solid: a box, cylinder, sphere or capsule where one fits, else several, else a mesh.
+"""Which collision shape stands for a solid: a box, cylinder, sphere or capsule where one fits, else parts, else a mesh.
 
 How well a shape fits is its volume overlap with the solid, |A and B| / |A or B| (intersection over union), by booleans.
 """
@@ -38,6 +38,8 @@ COLLISION_FILE = "collision.obj"
 COLLISION_FACES = 500
 """So many triangles collide, or are cut into parts; more where a mesh of so few is no solid."""
 _FIT_FACES, _FIT_POINTS = 3000, 6000
+_EXACT = 0.998
+"""Overlap from which nothing better is looked for."""
 
 
 @dataclass(frozen=True)
@@ -121,37 +123,44 @@ def _overlap(a: Any, b: Any) -> float:
 
 
 def fit_primitive(solid: Solid, kind: str) -> tuple[Shape, float] | None:
-    """The primitive of most overlap and that overlap: the bounding one, or one fitted to points inside; None for
-    neither."""
+    """The primitive of most overlap and that overlap: the bounding one, or one fitted to points inside; or None."""
     import trimesh
 
     light = simplified(solid, _FIT_FACES)
     vertices, faces = light.mesh
     mesh = trimesh.Trimesh(vertices, faces, process=False)
     part = PartMesh("object", vertices, faces)
-    shapes = []
-    # The bounding shape is exact for a solid that is such a shape; sampled points are not.
-    if kind == "box":
-        T, size = mesh.bounding_box_oriented.primitive.transform, mesh.bounding_box_oriented.primitive.extents
-        shapes.append(_placed("box", tuple(float(v) for v in size), T))
-        with contextlib.suppress(DataError):
-            shapes.append(fit_box(part).shape)
-    elif kind == "capsule":
-        with contextlib.suppress(DataError):
-            shapes.append(fit_capsule(part).shape)
-    elif kind == "cylinder":
-        around = mesh.bounding_cylinder.primitive
-        shapes.append(_placed("cylinder", (float(around.radius), float(around.height)), around.transform))
-        shapes.append(_climbed_cylinder(shapes[0], mesh))
-    else:
-        T = np.eye(4)
-        T[:3, 3] = mesh.center_mass
-        shapes.append(_placed("sphere", (float(3.0 * mesh.volume / (4.0 * math.pi)) ** (1.0 / 3.0),), T))
-    rated = [(union_overlap(light, (shape,)), index) for index, shape in enumerate(shapes)]
+    # The bounding shape is exact for a solid that is such a shape; points that are counted are not.
+    starts = _bounding(kind, mesh)
+    rated = [(union_overlap(light, (shape,)), shape) for shape in starts]
+    if not rated or rated[0][0] < _EXACT:
+        if kind in ("box", "capsule"):
+            with contextlib.suppress(DataError):
+                found = fit_box(part) if kind == "box" else fit_capsule(part)
+                rated.append((union_overlap(light, (found.shape,)), found.shape))
+        elif kind == "cylinder":
+            climbed = _climbed_cylinder(starts[0], mesh)
+            rated.append((union_overlap(light, (climbed,)), climbed))
     if not rated:
         return None
-    best = shapes[max(rated)[1]]
+    best = max(rated, key=lambda entry: entry[0])[1]
     return best, union_overlap(solid, (best,))
+
+
+def _bounding(kind: str, mesh: Any) -> list[Shape]:
+    """The shape around a mesh; of spheres the one of its volume at its centre; none of capsules."""
+    if kind == "box":
+        around = mesh.bounding_box_oriented.primitive
+        x, y, z = (float(v) for v in around.extents)
+        return [_placed("box", (x, y, z), around.transform)]
+    if kind == "cylinder":
+        around = mesh.bounding_cylinder.primitive
+        return [_placed("cylinder", (float(around.radius), float(around.height)), around.transform)]
+    if kind == "sphere":
+        T = np.eye(4)
+        T[:3, 3] = mesh.center_mass
+        return [_placed("sphere", (float(3.0 * mesh.volume / (4.0 * math.pi)) ** (1.0 / 3.0),), T)]
+    return []
 
 
 def _climbed_cylinder(start: Shape, mesh: Any) -> Shape:

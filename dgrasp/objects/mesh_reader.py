@@ -21,7 +21,9 @@ FORMATS = ("obj", "stl", "ply", "glb")
 MAX_BYTES = 100 * 2**20
 MAX_FACES = 500_000
 SMALLEST, LARGEST = 0.005, 1.0
-"""m. The longest side of an object that a hand grasps."""
+"""m. Limits of an object's longest side."""
+USUAL = (0.01, 0.5)
+"""m. The longest side of an object that a hand grasps; what units are guessed by."""
 
 Units = Literal["auto", "m", "cm", "mm"]
 SCALES: dict[str, float] = {"m": 1.0, "cm": 0.01, "mm": 0.001}
@@ -44,26 +46,26 @@ class MeshFile:
     def scaled(self, units: Units) -> tuple[Array, str]:
         """Vertices (V, 3) in m, and the units that they were in.
 
-        "auto" takes the one unit that gives an object between `SMALLEST` and `LARGEST`. Raises `DataError` where several
-        do or none does, and where the stated unit gives another size.
+        "auto" takes the one unit that gives an object of a `USUAL` size. Raises `DataError` where several do or none
+        does, and where the stated unit gives a size beyond `SMALLEST` and `LARGEST`.
         """
         sides = np.ptp(self.vertices[np.unique(self.faces)], axis=0)
         longest = float(sides.max())
         if longest == 0.0:
             raise DataError(f"{self.path}: all vertices are at one place; expected a mesh that encloses a volume")
-        choices = list(SCALES) if units == "auto" else [units]
-        fitting = [unit for unit in choices if SMALLEST <= longest * SCALES[unit] <= LARGEST]
+        choices, (low, high) = ((units,), (SMALLEST, LARGEST)) if units != "auto" else (tuple(SCALES), USUAL)
+        fitting = [unit for unit in choices if low <= longest * SCALES[unit] <= high]
         if len(fitting) == 1:
             return self.vertices * SCALES[fitting[0]], fitting[0]
-        allowed = f"expected {1000 * SMALLEST:g} mm to {LARGEST:g} m"
+        allowed = f"expected {100 * low:g} cm to {100 * high:g} cm"
         if units != "auto":
             raise DataError(f"{self.path}: the longest side is {longest * SCALES[units]:.4g} m in {units}; {allowed}; "
                             f"state another unit with --units ({', '.join(SCALES)}), or scale the mesh")
         if fitting:
             sizes = " or ".join(f"{longest * SCALES[unit]:.3g} m if in {unit}" for unit in fitting)
             raise DataError(f"{self.path}: the longest side is {longest:.4g}: {sizes}; state which with --units")
-        raise DataError(f"{self.path}: the longest side is {longest:.4g}, which is no object for a hand in "
-                        f"{', '.join(SCALES)}; {allowed}; scale the mesh")
+        raise DataError(f"{self.path}: the longest side is {longest:.4g}, in {', '.join(SCALES)} no usual object for a "
+                        f"hand; {allowed}; state --units, or scale the mesh")
 
 
 def read_mesh_file(path: Path) -> MeshFile:
@@ -121,7 +123,8 @@ def _parse(suffix: str, raw: bytes) -> tuple[Array, Array]:
         warnings.simplefilter("ignore")
         scene = trimesh.load_scene(io.BytesIO(raw), file_type=suffix, process=False, skip_materials=True)
         # A scene may show one mesh many times: counted before it is copied as often.
-        shown = sum(len(getattr(scene.geometry[scene.graph[node][1]], "faces", ())) for node in scene.graph.nodes_geometry)
+        geometries = [scene.geometry[scene.graph[node][1]] for node in scene.graph.nodes_geometry]
+        shown = sum(len(getattr(geometry, "faces", ())) for geometry in geometries)
         if shown > MAX_FACES:
             raise DataError(f"{shown} faces; at most {MAX_FACES} are taken; decimate the mesh first")
         meshes = [mesh for mesh in scene.dump() if isinstance(mesh, trimesh.Trimesh) and len(mesh.faces)]
@@ -133,7 +136,7 @@ def _parse(suffix: str, raw: bytes) -> tuple[Array, Array]:
 
 def _check_header(suffix: str, raw: bytes) -> None:
     """Refuse a file that announces more than it holds or than is taken, before anything is allocated for it."""
-    if suffix == "stl" and not raw.lstrip()[:5].lower() == b"solid":
+    if suffix == "stl" and raw.lstrip()[:5].lower() != b"solid":
         if len(raw) < 84:
             raise DataError(f"{len(raw)} bytes, less than the header of a binary STL; the file is cut off")
         count = struct.unpack_from("<I", raw, 80)[0]
@@ -153,8 +156,8 @@ def _check_header(suffix: str, raw: bytes) -> None:
             raise DataError("it does not begin like a GLB file; expected glTF 2.0 in its binary form")
         length, chunk = struct.unpack_from("<II", raw, 8)
         if length != len(raw) or 20 + chunk > length:
-            raise DataError(f"its header announces {length} bytes, but there are {len(raw)}; the file is damaged or cut "
-                            "off")
+            raise DataError(f"its header announces {length} bytes, but there are {len(raw)}; the file is damaged or "
+                            "cut off")
         content = json.loads(raw[20 : 20 + chunk])
         accessors = content.get("accessors", []) if isinstance(content, dict) else []
         _check_rows(sum(_count(accessor) for accessor in accessors))

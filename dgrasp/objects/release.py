@@ -24,7 +24,8 @@ def release_object(
     cylinders. masses: "official" as the authors simulate them, "ycb" as published.
     official_compat: centre of mass at the origin and 1 kg m^2 about every axis instead of the shape's own.
     concave: the authors' concave meshes as they are, or cut into convex parts, or ("auto") whichever of the two
-    grasps more like the authors' simulation; centre of mass and inertia are the mesh's either way. Raises `DataError` for an unknown name or a mesh that is missing or damaged.
+    grasps more like the authors' simulation; centre of mass and inertia are the mesh's either way.
+    Raises `DataError` for an unknown name or a mesh that is missing or damaged.
     """
     entry = catalogue_object(name)
     shape = entry.collision

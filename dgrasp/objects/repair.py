@@ -69,11 +69,12 @@ def repair(vertices: Array, faces: Array) -> Solid:
     if reason:
         remade = rebuild(vertices, faces)
         if remade is None:
-            raise DataError(f"{reason}, and no grid finds an inside: a surface without thickness, or one open too wide; "
-                            "give it a thickness, or close it first")
+            raise DataError(f"{reason}, and no grid finds an inside: a surface without thickness, or one open too "
+                            "wide; give it a thickness, or close it first")
         return Solid(remade.solid, (*notes, f"built anew on a grid of {1000 * remade.pitch:.1f} mm ({reason})"))
     if closed.holes:
-        notes.append(f"{closed.holes} hole{'s' * (closed.holes > 1)} closed ({closed.capped / total:.1%} of the surface)")
+        what = "hole" if closed.holes == 1 else "holes"
+        notes.append(f"{closed.holes} {what} closed ({closed.capped / total:.1%} of the surface)")
     if closed.lost:
         notes.append(f"{closed.lost / total:.1%} of the surface left out, it encloses nothing")
     solid, done = _united(closed.bodies)

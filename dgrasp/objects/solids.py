@@ -73,7 +73,7 @@ def swept(points: Array, radii: Array, up: Point3, closed: bool = False) -> Any:
 
 
 def smooth(points: Sequence[Sequence[float]]) -> Array:
-    """(n, d): a smooth curve from the first to the last of points (k, d), within their polygon: its corners cut thrice."""
+    """(n, d): a smooth curve from the first to the last of points (k, d): their polygon, its corners cut thrice."""
     curve = np.array(points, dtype=float)
     for _ in range(3):
         first, second = curve[:-1] * 0.75 + curve[1:] * 0.25, curve[:-1] * 0.25 + curve[1:] * 0.75

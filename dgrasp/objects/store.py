@@ -54,10 +54,11 @@ def find_object(name: str, folders: Sequence[Path]) -> StoredObject:
     for folder in folders:
         if os.path.isfile(folder / name / META_FILE):
             return StoredObject(folder / name, read_meta(folder / name)["id"])
-    there = sorted({p.parent.name for folder in folders if os.path.isdir(folder) for p in folder.glob(f"*/{META_FILE}")})
-    raise DataError(f"unknown object {name!r}: none of the 20, and not in {' or '.join(str(f) for f in folders)} (there: "
-                    f"{', '.join(there[:20]) or 'nothing'}){nearest(name, [*there, *YCB_NAMES.values()])}; add its mesh with "
-                    f"`dgrasp object add MESH --name {name}`, or name its folder with objects=DIR")
+    found = [path for folder in folders if os.path.isdir(folder) for path in folder.glob(f"*/{META_FILE}")]
+    there = sorted({path.parent.name for path in found})
+    raise DataError(f"unknown object {name!r}: none of the 20, and not in {' or '.join(map(str, folders))} (there: "
+                    f"{', '.join(there[:20]) or 'nothing'}){nearest(name, [*there, *YCB_NAMES.values()])}; add its "
+                    f"mesh with `dgrasp object add MESH --name {name}`, or name its folder with objects=DIR")
 
 
 def load_object(folder: Path, official_compat: bool, parts: bool = False) -> ObjectModel:
@@ -121,8 +122,10 @@ def _require(ok: object) -> None:
 
 
 def check_mass(mass: float, center: Array, inertia: Array) -> None:
-    """Raise ValueError, with the reason, unless these are those of a body: mass kg, center (3,) m, inertia (3, 3) kg m^2
-    about the centre of mass."""
+    """Raise ValueError, with the reason, unless these are those of a body.
+
+    mass: kg. center: (3,) m. inertia: (3, 3) kg m^2 about the centre of mass.
+    """
     if not (math.isfinite(mass) and 1e-4 <= mass <= 100.0):
         raise ValueError(f"a mass of {mass:g} kg; expected 0.1 g to 100 kg")
     if center.shape != (3,) or not np.isfinite(center).all():
@@ -131,8 +134,8 @@ def check_mass(mass: float, center: Array, inertia: Array) -> None:
         raise ValueError("the inertia is not a symmetric matrix of finite numbers")
     low, middle, high = np.linalg.eigvalsh(inertia)
     if low <= 0.0 or high > (low + middle) * (1.0 + 1e-6):
-        raise ValueError(f"no body has the principal moments {low:.3g}, {middle:.3g}, {high:.3g} kg m^2: each is positive "
-                         "and at most the sum of the others")
+        raise ValueError(f"no body has the principal moments {low:.3g}, {middle:.3g}, {high:.3g} kg m^2: each is "
+                         "positive and at most the sum of the others")
 
 
 def plain_shape(shape: Shape) -> dict[str, Any]:

@@ -18,6 +18,10 @@ def make_pool(spec: PoolSpec) -> Pool:
         from dgrasp.pool.serial import SerialPool
 
         return SerialPool(spec)
+    if spec.config.pool.kind == "ray":
+        from dgrasp.pool.ray import RayPool
+
+        return RayPool(spec)
     from dgrasp.pool.process import ProcessPool
 
     return ProcessPool(spec, spec.config.pool.workers or cores())

@@ -8,9 +8,12 @@ from typing import Protocol
 
 from dgrasp.config import Config
 from dgrasp.control.motion import Fingers
+from dgrasp.env.features import FeatureLayer
 from dgrasp.env.grasp_env import Mode
+from dgrasp.env.rewards import Reward
 from dgrasp.errors import DGraspError
 from dgrasp.hand.model import HandModel
+from dgrasp.hand.skeleton import N_DOF
 from dgrasp.objects.model import ObjectModel
 from dgrasp.rl.vec_env import Step, VecEnv
 from dgrasp.types import Array, GraspLabel, SceneState
@@ -32,6 +35,20 @@ class PoolSpec:
     hand: HandModel
     objects: Mapping[str, ObjectModel]
     config: Config
+
+
+class SizedPool:
+    """What a pool knows of its environments without having made one."""
+
+    action_size = N_DOF
+
+    def __init__(self, spec: PoolSpec) -> None:
+        self.labels = spec.labels
+        self.num_envs = len(spec.labels)
+        self.names = tuple(label.name for label in spec.labels)
+        layer = FeatureLayer(spec.config.env)
+        self.observation_size, self.actor_size = layer.size, layer.actor_size
+        self.reward_terms = Reward(spec.config.env.reward).names
 
 
 class Pool(VecEnv, Protocol):

@@ -26,12 +26,9 @@ from multiprocessing.shared_memory import SharedMemory
 import numpy as np
 
 from dgrasp.control.motion import Fingers
-from dgrasp.env.features import FeatureLayer
 from dgrasp.env.grasp_env import Mode
-from dgrasp.env.rewards import Reward
-from dgrasp.hand.skeleton import N_DOF
 from dgrasp.pool.balance import costs, imbalance, stretches
-from dgrasp.pool.base import PoolError, PoolSpec, WorkerLost
+from dgrasp.pool.base import PoolError, PoolSpec, SizedPool, WorkerLost
 from dgrasp.pool.worker import FAILED, QUIT, STEP, Layout, Shared, Told, shared_arrays, work
 from dgrasp.rl.collect import Actor, Incident, Trajectories
 from dgrasp.rl.vec_env import Step
@@ -72,18 +69,11 @@ def _single_threaded() -> Iterator[None]:
                 os.environ[key] = value
 
 
-class ProcessPool:
+class ProcessPool(SizedPool):
     """See `Pool`."""
 
-    action_size = N_DOF
-
     def __init__(self, spec: PoolSpec, workers: int) -> None:
-        self.labels = spec.labels
-        self.num_envs = len(spec.labels)
-        self.names = tuple(label.name for label in spec.labels)
-        layer = FeatureLayer(spec.config.env)
-        self.observation_size, self.actor_size = layer.size, layer.actor_size
-        self.reward_terms = Reward(spec.config.env.reward).names
+        super().__init__(spec)
         self._spec, self._deadline_s = spec, spec.config.pool.hang_s
         self._workers = max(1, min(workers, self.num_envs))
         self._shared = Shared(self.num_envs, self.observation_size, len(self.reward_terms), self._workers)

@@ -76,6 +76,18 @@ def test_known_answers(mini: MiniDexYcb, hand: Path, capsys: pytest.CaptureFixtu
     assert "CC BY-NC" in shown and "004_sugar_box 1" in shown
 
 
+def test_the_labels_go_on_to_be_checked(mini: MiniDexYcb, hand: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    mini.add("s1", "a", standard())
+    run(mini, hand)
+    assert main(["labels", "check", str(mini.root / OUT), "--data", "free", "--hand", str(hand)]) == 0
+    shown = capsys.readouterr().out
+    assert "hand mini_hand" in shown and "1 labels of 1 objects: 1 with an approach, 1 with a table" in shown
+    # The object's origin is 0.1 m above the table, half of the box's height is 0.0875.
+    assert "objects' lowest points +12.5 to +12.5 mm over the table's top" in shown
+    # And the mini hand is cubes around its joints, which end farther from the box than its skin.
+    assert "dexycb:s1/a:004_sugar_box[0]: hand 29 mm from the object; object 13 mm over the table" in shown
+
+
 def test_poses_are_found_again(mini: MiniDexYcb, hand: Path) -> None:
     from scipy.spatial.transform import Rotation
 
@@ -279,7 +291,7 @@ def test_bad_sequences(mini: MiniDexYcb, file: str, change: dict[str, object], m
         ({"1": (1.0, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0), "apriltag": (1.0,) * 12}, "not a rotation"),
         ({"1": (1.0, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0), "apriltag": (1.0,) * 11}, "a list of 12 finite numbers"),
         ({"1": (1.0, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 1), "2": (1.0, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, -1),
-          "apriltag": (1.0, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0)}, "on both sides"),
+          "apriltag": (1.0, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0)}, "on both sides of the tag's plane, or in it"),
         ({"1": (1.0, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 1e5), "apriltag": (1.0, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0)},
          "beyond 10 m"),
     ],

@@ -31,7 +31,7 @@ from tests.labels.test_fuzz import hostile_streams, in_extension_registry, mutat
 from tests.labels.test_ho3d import annotation, text_protocol
 from tests.labels.test_mano_tables import GIVEN, table, write_csv
 
-N = 500
+N = int(os.environ.get("DGRASP_FUZZ", "200"))
 """Mutated files of each kind; there are eleven kinds."""
 GIGABYTE = 2**20
 """In the unit of `ru_maxrss`, kilobytes."""
@@ -154,7 +154,8 @@ def test_nothing_is_executed(
     marker, called, path = tmp_path / "executed", [], tmp_path / "a.pkl"
     streams = list(hostile_streams(f"touch {marker}", f"open({str(marker)!r}, 'w')"))
     command = f"touch {marker}".encode()
-    streams += [("text", b"cos\nsystem\n(S'" + command + b"'\ntR."), ("text INST", b"(S'" + command + b"'\nios\nsystem\n."),
+    streams += [("text", b"cos\nsystem\n(S'" + command + b"'\ntR."),
+                ("text INST", b"(S'" + command + b"'\nios\nsystem\n."),
                 ("in a text dictionary", b"(dS'handPose'\ncos\nsystem\n(S'" + command + b"'\ntRs.")]
     monkeypatch.setattr(os, "system", called.append)
     for name, raw in streams:
@@ -187,8 +188,8 @@ def _aliases(levels: int, form: str) -> str:
         ("a: &a {x: 1}\n" + "\n".join(f"b{i}: &b{i} {{<<: [{'*a' if i == 0 else f'*b{i - 1}'}, *a]}}"
                                       for i in range(60)), True),
         ("a: &a !!python/tuple [*a]\n", True),
-        ("a: " + "[" * 50_000, True),
-        ("a: " + "1" * 50_000, True),
+        ("a: " + "[" * 5_000, True),
+        ("a: " + "1" * 40_000, True),
         ("a: " + ":".join(["1"] * 20_000), False),
         ("a: !!binary '" + "A" * 1001 + "'\n", True),
         ("a: 2020-99-99\n", True),
@@ -210,26 +211,26 @@ def test_yaml_made_to_hang_or_fill_the_memory(tmp_path: Path, text: str, bad: bo
         assert bad or "plain YAML" in str(error)
 
 
-def _bomb(path: Path, name: str, shape: tuple[int, ...], announced: int | None = None) -> None:
-    """An archive whose member announces an array of this shape, of zeros that compress to nothing."""
+def _bomb(path: Path, name: str, announced: int | None = None) -> None:
+    """An archive of a few kilobytes whose member unpacks to 40 MB of zeros; or announces just so many bytes of them."""
     stream = io.BytesIO()
-    np.lib.format.write_array_header_1_0(stream, {"descr": "<f8", "fortran_order": False, "shape": shape})
-    raw = stream.getvalue() + bytes(min(8 * int(np.prod(shape)), 2**28))
+    np.lib.format.write_array_header_1_0(stream, {"descr": "<f8", "fortran_order": False, "shape": (5_000_000, 1)})
+    raw = stream.getvalue() + bytes(40_000_000)
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
         archive.writestr(f"{name}.npy", raw)
     if announced is not None:
         content = path.read_bytes()
+        assert content.count(len(raw).to_bytes(4, "little")) == 2
         path.write_bytes(content.replace(len(raw).to_bytes(4, "little"), announced.to_bytes(4, "little")))
 
 
 def test_zip_bombs(tmp_path: Path, recording: Sequence) -> None:
     path = tmp_path / "a.npz"
-    for shape, announced in (((2**25, 1), None), ((2**25, 1), 1000), ((2**60, 1), None), ((2**60, 2**60), 100)):
-        if np.prod(np.array(shape, dtype=float)) < 2**30 or announced is not None:
-            _bomb(path, "transl", (min(shape[0], 2**25), 1), announced)
-            assert refused(lambda: read_mano_table(path), path)
-            _bomb(recording.folder / "pose.npz", "pose_m", (min(shape[0], 2**25), 1), announced)
-            assert refused(lambda: read_track(recording), recording.folder / "pose.npz")
+    for announced in (None, 1000):
+        _bomb(path, "transl", announced)
+        assert refused(lambda: read_mano_table(path), path)
+        _bomb(recording.folder / "pose.npz", "pose_m", announced)
+        assert refused(lambda: read_track(recording), recording.folder / "pose.npz")
     # A header that announces more than any memory holds, with nothing behind it.
     stream = io.BytesIO()
     np.lib.format.write_array_header_1_0(stream, {"descr": "<f8", "fortran_order": False, "shape": (2**60, 3)})

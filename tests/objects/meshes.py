@@ -13,7 +13,10 @@ SIZE = (0.06, 0.05, 0.04)
 VOLUME = 0.06 * 0.05 * 0.04
 
 
-def box(size: tuple[float, float, float] = SIZE, center: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> trimesh.Trimesh:
+Point = tuple[float, float, float]
+
+
+def box(size: Point = SIZE, center: Point = (0.0, 0.0, 0.0)) -> trimesh.Trimesh:
     """A box of 12 faces."""
     return trimesh.creation.box(size, trimesh.transformations.translation_matrix(center))
 

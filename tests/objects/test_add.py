@@ -20,11 +20,15 @@ from raisim_like.shapes import Shape
 from tests.objects.meshes import SIZE, VOLUME, box, save
 
 
+@pytest.fixture(scope="module")
+def shared(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A cache for all tests here: most of them are not about what is in it."""
+    return tmp_path_factory.mktemp("cache")
+
+
 @pytest.fixture(autouse=True)
-def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A cache of the test's own."""
-    monkeypatch.setenv("DGRASP_CACHE", str(tmp_path / "cache"))
-    return tmp_path / "cache" / "objects"
+def use_shared(shared: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("DGRASP_CACHE", str(shared))
 
 
 @pytest.fixture
@@ -80,9 +84,9 @@ def test_masses_that_no_body_has(file: Path, tmp_path: Path, mass: Mass, reason:
     assert not (tmp_path / "objects").exists()
 
 
-def test_the_same_content_is_not_computed_again(
-    file: Path, tmp_path: Path, cache: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_same_content_is_not_computed_again(file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("DGRASP_CACHE", str(tmp_path / "cache"))
+    cache = tmp_path / "cache" / "objects"
     first = add_box(file, tmp_path / "a")
     assert not first.cached and len(list(cache.iterdir())) == 1
     made = list(cache.rglob("*"))

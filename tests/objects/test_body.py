@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,8 +11,10 @@ from dgrasp.objects.free import free_object
 from tests.geometry.solids import box
 
 
-def test_collision_shapes_unless_there_is_a_detailed_mesh(tmp_path: Path) -> None:
-    model = free_object("004_sugar_box", "official", False)
+def test_collision_shapes_unless_there_is_a_mesh(tmp_path: Path) -> None:
+    model = free_object("025_mug", "official", False)
+    assert model.mesh is not None and object_body(model, tmp_path / "nowhere").detailed
+    model = replace(free_object("004_sugar_box", "official", False), mesh=None)
     made = object_body(model, tmp_path / "nowhere")
     assert not made.detailed and made.body.solid.volume() == pytest.approx(0.038 * 0.089 * 0.175)
     folder = tmp_path / model.name
@@ -24,7 +27,7 @@ def test_collision_shapes_unless_there_is_a_detailed_mesh(tmp_path: Path) -> Non
 
 
 def test_a_compound_counts_its_overlaps_once() -> None:
-    model = free_object("025_mug", "official", False)
+    model = replace(free_object("025_mug", "official", False), mesh=None)
     made = object_body(model, Path("nowhere")).body
     each = sum(object_body(type(model)("x", (shape,), 1.0, np.zeros(3), np.eye(3)), Path("nowhere")).body.solid.volume()
                for shape in model.shapes)

@@ -84,7 +84,7 @@ def test_a_torus_is_no_primitive(tmp_path: Path, hull_for_parts: Callable[[float
     hull_for_parts(1.0)
     made = fit_shapes(solid(TORUS), tmp_path)
     # The hull fills the hole: 2 pi^2 R r^2 = 222 cm3 of about 361 cm3.
-    assert made.kind == "parts" and made.overlap == pytest.approx(0.615, abs=0.02)
+    assert made.kind == "parts" and made.overlap == pytest.approx(0.615, abs=0.04)
     assert all(made.tried[kind] < 0.7 for kind in ("box", "cylinder", "sphere", "capsule"))
 
 

@@ -98,14 +98,14 @@ def test_a_thin_sheet() -> None:
     square = plain(np.array([[0, 0, 0], [0.1, 0, 0], [0.1, 0.1, 0], [0, 0.1, 0]]), np.array([[0, 1, 2], [0, 2, 3]]))
     with pytest.raises(DataError, match="fewer than four faces"):
         mended(square)
-    with pytest.raises(DataError, match="the mesh is flat.*thickness"):
+    with pytest.raises(DataError, match=r"the mesh is flat.*thickness"):
         mended(square.subdivide())
 
 
 def test_a_surface_without_an_inside_is_refused() -> None:
     ball = trimesh.creation.icosphere(3, 0.05)
     half = plain(ball.vertices, ball.faces[ball.triangles_center[:, 2] > 0])
-    with pytest.raises(DataError, match="no grid finds an inside.*give it a thickness"):
+    with pytest.raises(DataError, match=r"no grid finds an inside.*give it a thickness"):
         mended(half)
 
 

@@ -1,0 +1,69 @@
+"""How far more cores help: `python -m benchmarks.scaling --rate 300 data=DIR`.
+
+Measures what an epoch costs the learner (the PPO update on as many control steps as the labels make) and how many
+bytes a control step sends it, and predicts epochs on 1 to 1,000 cores: the slowest worker's share of the labels at
+`--rate` control steps per second and core, the transfer at `--mbit`, and the update, one after the other.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+
+import torch
+
+from dgrasp.config import load_config
+from dgrasp.env.features import FeatureLayer
+from dgrasp.hand.skeleton import N_DOF
+from dgrasp.rl.collect import Trajectories
+from dgrasp.rl.networks import ActorCritic
+from dgrasp.rl.ppo import Ppo
+from dgrasp.rl.runner import epoch_generator, pick_device
+from dgrasp.rl.storage import Rollout
+
+CORES = (1, 2, 8, 32, 100, 376, 1000)
+
+
+def main() -> None:
+    """Print the measured learner and a row per number of cores."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--labels", type=int, default=376, help="environments in an epoch")
+    parser.add_argument("--rate", type=float, default=300.0, help="control steps per second of one core")
+    parser.add_argument("--mbit", type=float, default=1000.0, help="network into the learner, Mbit/s")
+    parser.add_argument("overrides", nargs="*", metavar="key=value")
+    arguments = parser.parse_intermixed_args()
+    config = load_config(None, arguments.overrides)
+    torch.set_num_threads(1)
+    layer, steps, n = FeatureLayer(config.env), config.env.episode_steps, arguments.labels
+    device = pick_device(config.device)
+    model = ActorCritic(
+        layer.size, N_DOF, config.ppo.hidden, config.ppo.initial_std, epoch_generator(1, 0), layer.actor_size
+    ).to(device)
+    ppo, rollout = Ppo(model, config.ppo), Rollout(device)
+    trajectories = Trajectories.allocate(steps, n, layer.size, N_DOF, 7)
+    generator = torch.Generator().manual_seed(0)
+    trajectories.observations[:] = torch.randn(trajectories.observations.shape, generator=generator).numpy()
+    trajectories.actions[:] = torch.randn(trajectories.actions.shape, generator=generator).numpy()
+    trajectories.reward[:] = torch.randn(trajectories.reward.shape, generator=generator).numpy()
+    trajectories.valid[:] = True
+    size = sum(array.nbytes for array in vars(trajectories).values())
+    started = time.perf_counter()
+    rollout.load(trajectories, model)
+    rollout.compute_returns(config.ppo.gamma, config.ppo.lam)
+    ppo.update(rollout, epoch_generator(1, 1))
+    update = time.perf_counter() - started
+    weights = sum(parameter.numel() for parameter in model.parameters()) * 4
+    print(f"{n} environments, {steps} control steps each: {size / (n * steps):.0f} bytes per control step, "
+          f"{size / 1e6:.0f} MB per epoch, {weights / 1e3:.0f} kB of weights; "
+          f"the learner takes {update:.2f} s on {device.type}, one thread")
+    print(f"{'cores':>6} {'rollout s':>10} {'transfer s':>11} {'update s':>9} {'epoch s':>8} {'steps/s':>9}")
+    transfer = size * 8 / (arguments.mbit * 1e6)
+    for cores in CORES:
+        rollout_s = -(-n // min(cores, n)) * steps / arguments.rate
+        epoch = rollout_s + (transfer if cores > 1 else 0.0) + update
+        print(f"{cores:>6} {rollout_s:>10.2f} {transfer if cores > 1 else 0.0:>11.2f} {update:>9.2f} {epoch:>8.2f} "
+              f"{n * steps / epoch:>9.0f}")
+
+
+if __name__ == "__main__":
+    main()

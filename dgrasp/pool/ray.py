@@ -1,0 +1,304 @@
+"""Environments on the machines of a Ray cluster: whole epochs per call, for a call costs milliseconds there.
+
+An actor holds one part of the environments. To collect an epoch, the policy goes to the cluster's object store once,
+each actor fetches it, plays all control steps and returns its trajectories. An actor that dies is started again,
+wherever there is room; what it had collected is dropped. One that is late is left behind for this epoch, so that a slow
+machine costs experience but not time (`pool.patience`).
+
+Every machine needs this package, and the label's meshes under the same paths (a shared file system).
+"""
+
+from __future__ import annotations
+
+import os
+import statistics
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from dgrasp.control.motion import Fingers
+from dgrasp.env.grasp_env import GraspEnv, Mode, StepArrays
+from dgrasp.env.state import STATE_SIZE, copy_state, state_views
+from dgrasp.errors import ConfigError
+from dgrasp.pool.base import PoolError, PoolSpec, SizedPool, WorkerLost
+from dgrasp.pool.worker import Told
+from dgrasp.rl.collect import Actor, Incident, Trajectories, collect
+from dgrasp.rl.vec_env import Step
+from dgrasp.types import Array
+
+_POLL_S = 0.2
+_LOSSES_IN_A_ROW = 3
+"""An actor that is lost this often without a success in between will not get better."""
+_ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
+
+
+class Collected(NamedTuple):
+    """What an actor brings from an epoch; the arrays are those of `Trajectories`, for its environments."""
+
+    arrays: dict[str, Array]
+    incidents: list[Incident]
+    told: Told
+
+
+class Seen(NamedTuple):
+    """What an actor says after a step or a reset: the arrays of `StepArrays`, and the state in one block."""
+
+    arrays: dict[str, Array]
+    state: Array
+
+
+class Rollouts:
+    """Some environments of the pool; its methods run on a machine of the cluster."""
+
+    def __init__(self, spec: PoolSpec, rows: slice) -> None:
+        self.indices = list(range(len(spec.labels)))[rows]
+        labels = [spec.labels[i] for i in self.indices]
+        self.env = GraspEnv(labels, spec.hand, spec.objects, spec.config, self.indices, len(spec.labels))
+        self._block = np.zeros(len(labels) * STATE_SIZE)
+        self._state = state_views(len(labels), self._block)
+        self._trajectories: Trajectories | None = None
+
+    def process_id(self) -> int:
+        """Also says that the environments are there."""
+        return os.getpid()
+
+    def collect(self, actor: Actor, epoch: int, steps: int) -> Collected:
+        env = self.env
+        if self._trajectories is None or len(self._trajectories.reward) != steps:
+            sizes = (steps, env.num_envs, env.observation_size, env.action_size, len(env.reward_terms))
+            self._trajectories = Trajectories.allocate(*sizes)
+        incidents = collect(env, actor, epoch, self.indices, self._trajectories, lambda steps: None)
+        return Collected(vars(self._trajectories), incidents, self.tell())
+
+    def tell(self) -> Told:
+        told = Told(self.env.seconds_per_env, self.env.steps_made, self.env.events, [])
+        self.env.events = []
+        return told
+
+    def reset(self, epoch: int, mode: Mode) -> Seen:
+        self.env.reset(epoch, mode)
+        return self._seen()
+
+    def step(self, actions: Array) -> Seen:
+        self.env.step(actions)
+        return self._seen()
+
+    def remove_table(self) -> None:
+        self.env.remove_table()
+
+    def begin_motion(self, path: Array, fingers: Fingers) -> None:
+        self.env.begin_motion(path, fingers)
+
+    def _seen(self) -> Seen:
+        copy_state(self.env.s, self._state, slice(None))
+        return Seen(vars(self.env.o), self._block)
+
+
+class RayPool(SizedPool):
+    """See `Pool`."""
+
+    def __init__(self, spec: PoolSpec) -> None:
+        super().__init__(spec)
+        try:
+            import ray
+        except ImportError:
+            raise ConfigError("pool.kind=ray needs the package ray: pip install 'dgrasp[ray]'") from None
+        self._ray, self._config = ray, spec.config.pool
+        self._ours = not ray.is_initialized()
+        if self._ours:
+            self._connect()
+        workers = self._config.workers or int(ray.cluster_resources().get("CPU", 1))
+        self._workers = max(1, min(workers, self.num_envs))
+        self._rows = [slice(w, self.num_envs, self._workers) for w in range(self._workers)]
+        self.state = state_views(self.num_envs)
+        self._out = StepArrays.allocate(self.num_envs, self.observation_size, len(self.reward_terms))
+        self._trajectories: Trajectories | None = None
+        self._events: list[str] = []
+        self._incidents: list[Incident] = []
+        self._lost, self._losses = 0, [0] * self._workers
+        self._late: dict[int, Any] = {}
+        """Actors that are still busy with an epoch that went on without them, and what they will answer."""
+        self._told, self._physics = np.zeros(self._workers), 0.0
+        self._start = (time.perf_counter(), 0.0)
+        self._remote = ray.remote(num_cpus=1, runtime_env={"env_vars": _ONE_THREAD})(Rollouts)
+        self._spec_ref = ray.put(spec)
+        self._actors = [self._remote.remote(self._spec_ref, rows) for rows in self._rows]
+        self._await_ready()
+
+    def _connect(self) -> None:
+        """Join the cluster at `pool.address`, or start one on this machine."""
+        # A library sends nobody's usage anywhere unasked.
+        os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
+        address = self._config.address
+        try:
+            if address is None:
+                self._ray.init(include_dashboard=False, log_to_driver=False, num_cpus=self._config.workers)
+            else:
+                self._ray.init(address=address, log_to_driver=False)
+        except Exception as error:  # Ray raises many kinds, and all mean that there is no cluster
+            raise ConfigError(
+                f"pool.address: cannot reach a Ray cluster at {address!r} ({error}); expected auto, HOST:PORT, or null "
+                "for one on this machine"
+            ) from None
+
+    def _await_ready(self) -> None:
+        for w in range(self._workers):
+            try:
+                self._ray.get(self._actors[w].process_id.remote())
+            except self._ray.exceptions.RayTaskError as error:
+                raise PoolError(f"actor {w} failed:\n{error}") from None
+            except self._ray.exceptions.RayError as error:
+                message = f"actor {w} could not start ({error}); is there enough memory for its worlds?"
+                raise PoolError(message) from None
+
+    # What a learner needs ----------------------------------------------------------------------
+
+    def collect(self, actor: Actor, epoch: int, steps: int, advance: Callable[[int], None]) -> Trajectories:
+        self._begin()
+        if self._trajectories is None or len(self._trajectories.reward) != steps:
+            sizes = (steps, self.num_envs, self.observation_size, self.action_size, len(self.reward_terms))
+            self._trajectories = Trajectories.allocate(*sizes)
+        self._trajectories.valid[:] = False
+        self._drop_what_came_late()
+        weights = self._ray.put(actor)
+        asked = [w for w in range(self._workers) if w not in self._late]
+        pending = {self._actors[w].collect.remote(weights, epoch, steps): w for w in asked}
+        started, took = time.monotonic(), list[float]()
+        try:
+            while pending:
+                done, _ = self._ray.wait(list(pending), num_returns=1, timeout=_POLL_S)
+                now = time.monotonic() - started
+                for answer in done:
+                    w = pending.pop(answer)
+                    if self._take(w, answer):
+                        took.append(now)
+                        advance(int(self._trajectories.part(self._rows[w]).valid.sum()) * steps)
+                # Late is who takes several times as long as half of the others.
+                half = len(took) >= max(1, (len(asked) + 1) // 2)
+                if half and now > max(self._config.patience * statistics.median(took), _POLL_S):
+                    break
+        finally:
+            for answer, w in pending.items():
+                self._late[w] = (answer, time.monotonic())
+        for w in pending.values():
+            self._events.append(f"actor {w} is late; the experience of its environments in this epoch is dropped")
+        return self._trajectories
+
+    def _take(self, w: int, answer: Any) -> bool:
+        """Put what an actor brought into the trajectories; false if it is lost, and replaced."""
+        assert self._trajectories is not None
+        try:
+            got: Collected = self._ray.get(answer)
+        except self._ray.exceptions.RayTaskError as error:
+            raise PoolError(f"actor {w} failed:\n{error}") from None
+        except self._ray.exceptions.RayError:
+            self._replace(w, "died; the experience of its environments in this epoch is dropped")
+            return False
+        for name, array in vars(self._trajectories.part(self._rows[w])).items():
+            array[...] = got.arrays[name]
+        self._incidents += got.incidents
+        self._hear(w, got.told)
+        self._losses[w] = 0
+        return True
+
+    def _drop_what_came_late(self) -> None:
+        """Late actors that are done are asked again; those that never end are replaced."""
+        for w, (answer, since) in list(self._late.items()):
+            done, _ = self._ray.wait([answer], timeout=0)
+            if done:
+                del self._late[w]
+                with suppress(self._ray.exceptions.RayError):
+                    self._hear(w, self._ray.get(answer).told)
+            elif time.monotonic() - since > self._config.hang_s:
+                del self._late[w]
+                self._replace(w, f"hung for {self._config.hang_s:g} s (pool.hang_s)")
+
+    def _replace(self, w: int, why: str) -> None:
+        """A new actor with the same environments, on whatever machine has room."""
+        self._events.append(f"actor {w} {why}")
+        self._losses[w] += 1
+        self._lost += 1
+        if self._losses[w] >= _LOSSES_IN_A_ROW:
+            times = self._losses[w]
+            raise PoolError(f"actor {w} was lost {times} times in a row; is there enough memory for its worlds?")
+        with suppress(self._ray.exceptions.RayError):
+            self._ray.kill(self._actors[w])
+        self._actors[w] = self._remote.remote(self._spec_ref, self._rows[w])
+        self._told[w] = 0.0
+
+    def _hear(self, w: int, told: Told) -> None:
+        seconds = float(told.seconds.sum())
+        self._physics += seconds - self._told[w]
+        self._told[w] = seconds
+        self._events += told.events
+
+    def _begin(self) -> None:
+        self._start = (time.perf_counter(), self._physics)
+
+    def timing(self) -> dict[str, float]:
+        wall, physics = time.perf_counter() - self._start[0], self._physics - self._start[1]
+        share = physics / max(wall * self._workers, 1e-9)
+        return {"physics_share": share, "physics_s": physics, "wall_s": wall, "workers": float(self._workers),
+                "lost_workers": float(self._lost)}  # fmt: skip
+
+    def drain_events(self) -> list[str]:
+        events, self._events = self._events, []
+        return events
+
+    def drain_incidents(self) -> list[Incident]:
+        incidents, self._incidents = self._incidents, []
+        return incidents
+
+    # Steps and phases of a test ----------------------------------------------------------------
+
+    def reset(self, epoch: int = 0, mode: Mode = "train") -> Array:
+        self._begin()
+        for w in list(self._late):
+            del self._late[w]
+        self._see(lambda w: self._actors[w].reset.remote(epoch, mode))
+        return self._out.observation
+
+    def step(self, actions: Array) -> Step:
+        self._see(lambda w: self._actors[w].step.remote(actions[self._rows[w]]))
+        o = self._out
+        return Step(o.observation, o.reward, o.terminated, o.truncated, o.final_observation, o.reward_terms, o.broken)
+
+    def remove_table(self) -> None:
+        self._all(lambda w: self._actors[w].remove_table.remote())
+
+    def begin_motion(self, path: Array, fingers: Fingers = "policy") -> None:
+        self._all(lambda w: self._actors[w].begin_motion.remote(path[self._rows[w]], fingers))
+
+    def _see(self, call: Callable[[int], Any]) -> None:
+        for w, seen in enumerate(self._all(call)):
+            rows = self._rows[w]
+            for name, array in seen.arrays.items():
+                getattr(self._out, name)[rows] = array
+            copy_state(state_views(len(range(self.num_envs)[rows]), seen.state), self.state, rows)
+
+    def _all(self, call: Callable[[int], Any]) -> list[Any]:
+        """Every actor's answer. Lost ones are replaced, and then `WorkerLost` says that they gave none."""
+        answers, got, lost = [call(w) for w in range(self._workers)], [], []
+        for w, answer in enumerate(answers):
+            try:
+                got.append(self._ray.get(answer, timeout=self._config.hang_s))
+                self._losses[w] = 0
+            except self._ray.exceptions.RayTaskError as error:
+                raise PoolError(f"actor {w} failed:\n{error}") from None
+            except (self._ray.exceptions.RayError, TimeoutError) as error:
+                self._replace(w, "was lost in a test")
+                lost.append(f"actor {w}: {type(error).__name__}")
+        if lost:
+            raise WorkerLost("; ".join(lost))
+        return got
+
+    def close(self) -> None:
+        for actor in self._actors:
+            with suppress(Exception):
+                self._ray.kill(actor)
+        self._actors = []
+        if self._ours:
+            self._ray.shutdown()

@@ -1,0 +1,78 @@
+from __future__ import annotations
+
+import io
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from dgrasp.errors import DataError
+from dgrasp.export.sequence import check_folder, read_sequence, sequence_files, write_folder, write_sequence
+from dgrasp.types import Array
+from tests.export.sequences import sequence
+
+
+def test_reading_gives_back_what_was_written(tmp_path: Path) -> None:
+    written = sequence({"side": "right", "betas": [0.5]}, target_T_WO=np.eye(4), terminated="NaN")
+    write_sequence(tmp_path / "a.npz", written)
+    read = read_sequence(tmp_path / "a.npz")
+    for name in ("gc", "T_WH", "T_WO", "joints_W", "contacts", "contact_impulse", "table_contact", "reward"):
+        assert getattr(read.record, name) == pytest.approx(getattr(written.record, name), abs=1e-7), name
+    assert read.record.target_T_WO == pytest.approx(np.eye(4))
+    assert (read.record.window_start, read.record.dt, read.record.terminated) == (3, written.record.dt, "NaN")
+    for name in ("object_id", "hand", "source", "index", "on_table"):
+        assert getattr(read.record.label, name) == getattr(written.record.label, name)
+    assert read.record.label.goal_contacts.tolist() == written.record.label.goal_contacts.tolist()
+    assert read.about == {key: value for key, value in written.about.items() if key != "code"}
+    pairs = zip((*read.meshes.hand, read.meshes.object), (*written.meshes.hand, written.meshes.object), strict=True)
+    for got, given in pairs:
+        assert got.vertices == pytest.approx(given.vertices, abs=1e-7) and got.faces.tolist() == given.faces.tolist()
+
+
+def test_a_folder_has_a_file_for_each_and_is_never_mixed_up(tmp_path: Path) -> None:
+    folder = tmp_path / "new"
+    assert write_folder(folder, [sequence(), sequence()]) == 2
+    # Two labels of the same place and object come from different sources.
+    assert [file.name for file in sequence_files(folder)] == ["004_sugar_box_0000.npz", "004_sugar_box_0000_1.npz"]
+    with pytest.raises(DataError, match="not an empty folder; choose another"):
+        check_folder(folder)
+    with pytest.raises(DataError, match="no stored sequences"):
+        sequence_files(tmp_path / "none")
+
+
+def changed(path: Path, **members: Any) -> Path:
+    """The file with members replaced, or left out where they are None."""
+    write_sequence(path, sequence())
+    with np.load(path) as archive:
+        arrays: dict[str, Array] = {name: archive[name] for name in archive.files}
+    arrays |= {name: value for name, value in members.items() if value is not None}
+    stream = io.BytesIO()
+    np.savez(stream, **{name: value for name, value in arrays.items() if members.get(name, value) is not None})
+    path.write_bytes(stream.getvalue())
+    return path
+
+
+@pytest.mark.parametrize(
+    ("members", "said"),
+    [
+        ({"gc": None}, "lacks gc"),
+        ({"gc": np.zeros((8, 50), np.float32)}, r"gc has shape \(8, 50\); expected \(8, 51\)"),
+        ({"T_WO": np.zeros((7, 4, 4), np.float32)}, "T_WO has shape"),
+        ({"mesh_sizes": np.zeros((17, 2), np.int32)}, "do not add up"),
+        ({"mesh_faces": np.full((36, 3), 9, np.int32)}, "a face of palm has a vertex that is not there"),
+        ({"meta": np.array('{"format": "dgrasp-sequence", "schema": 2}')}, "schema 2; this program reads 1"),
+        ({"meta": np.array('{"format": "dgrasp-sequence", "schema": 1}')}, "description is incomplete"),
+        ({"meta": np.array("[")}, "no stored sequence"),
+        ({"meta": None}, "no member meta"),
+    ],
+)
+def test_other_and_damaged_files_are_refused(tmp_path: Path, members: dict[str, Any], said: str) -> None:
+    with pytest.raises(DataError, match=said):
+        read_sequence(changed(tmp_path / "a.npz", **members))
+
+
+def test_a_file_that_is_no_archive_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "a.npz").write_bytes(b"PK nothing")
+    with pytest.raises(DataError, match=r"a\.npz"):
+        read_sequence(tmp_path / "a.npz")

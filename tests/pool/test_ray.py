@@ -1,0 +1,147 @@
+"""The pool on a Ray cluster: held equal to the serial one to the bit, and whole when actors die."""
+
+from __future__ import annotations
+
+import csv
+import os
+import signal
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from dgrasp.config import load_config
+from dgrasp.errors import ConfigError
+from dgrasp.pool import make_pool
+from dgrasp.pool.serial import SerialPool
+from dgrasp.rl.collect import Actor
+from dgrasp.rl.runner import Runner
+from dgrasp.types import Array
+from tests.scenes import make_spec
+
+ray = pytest.importorskip("ray")
+QUICK = ["env.episode_steps=65", "physics.substeps=2", "pool.kind=ray", "pool.workers=2"]
+
+
+@pytest.fixture(scope="module")
+def cluster() -> Iterator[str]:
+    """The address of a cluster of two nodes with a core each, on this machine."""
+    from ray.cluster_utils import Cluster
+
+    os.environ["RAY_USAGE_STATS_ENABLED"] = "0"
+    made = Cluster(initialize_head=True, head_node_args={"num_cpus": 1, "include_dashboard": False})
+    made.add_node(num_cpus=1)
+    ray.init(address=made.address, log_to_driver=False)
+    yield made.address
+    ray.shutdown()
+    made.shutdown()
+
+
+def _actor() -> Actor:
+    rng = np.random.default_rng(0)
+    layer = (rng.normal(size=(51, 279)).astype(np.float32) / 50, rng.normal(size=51).astype(np.float32))
+    return Actor((layer,), np.full(51, 0.5, np.float32), 5)
+
+
+def _collected(pool: Any, epoch: int) -> dict[str, Array]:
+    return {k: v.copy() for k, v in vars(pool.collect(_actor(), epoch, 65, lambda n: None)).items()}
+
+
+def test_a_cluster_gives_what_one_process_gives(cluster: str) -> None:
+    serial, pool = SerialPool(make_spec(3, QUICK)), make_pool(make_spec(3, QUICK))
+    nodes = {ray.get(actor.process_id.remote()) for actor in pool._actors}  # type: ignore[attr-defined]
+    assert len(nodes) == 2, "one actor per node, for each has one core"
+    theirs, ours = _collected(serial, 5), _collected(pool, 5)
+    for name, array in theirs.items():
+        assert array.tobytes() == ours[name].tobytes(), name
+    assert 0.0 < pool.timing()["physics_share"] < 1.0
+    rng = np.random.default_rng(1)
+    seen = [[one.reset(3, "test").copy()] for one in (serial, pool)]
+    for t in range(4):
+        if t == 2:
+            serial.remove_table()
+            pool.remove_table()
+        actions = rng.normal(size=(3, 51)).astype(np.float32)
+        for one, log in zip((serial, pool), seen, strict=True):
+            step = one.step(actions)
+            log += [step.observation.copy(), step.reward.copy(), one.state.gc.copy(), one.state.table_contact.copy()]
+    assert all(np.array_equal(a, b) for a, b in zip(*seen, strict=True))
+    pool.close()
+    serial.close()
+
+
+def test_a_killed_actor_is_started_again_and_its_experience_dropped(cluster: str) -> None:
+    pool = make_pool(make_spec(3, QUICK))
+    reference = _collected(pool, 4)
+    victim = ray.get(pool._actors[1].process_id.remote())  # type: ignore[attr-defined]
+    os.kill(victim, signal.SIGKILL)
+    got = _collected(pool, 4)
+    assert got["valid"].tolist() == [True, False, True]
+    assert np.array_equal(got["reward"][:, [0, 2]], reference["reward"][:, [0, 2]])
+    assert any("actor 1 died" in event for event in pool.drain_events())
+    again = _collected(pool, 4)
+    assert again["valid"].all() and np.array_equal(again["reward"], reference["reward"])
+    assert pool.timing()["lost_workers"] == 1.0
+    pool.close()
+
+
+def test_a_run_with_a_killed_actor_makes_all_its_updates(cluster: str, tmp_path: Path) -> None:
+    config = load_config(None, [*QUICK, "ppo.epochs=4", "ppo.minibatches=1", "ppo.hidden=[8]"])
+    pool = make_pool(make_spec(3, QUICK))
+    collect = pool.collect
+
+    def strike(actor: Actor, epoch: int, *rest: Any) -> Any:
+        if epoch == 2:
+            os.kill(ray.get(pool._actors[0].process_id.remote()), signal.SIGKILL)  # type: ignore[attr-defined]
+        return collect(actor, epoch, *rest)
+
+    pool.collect = strike  # type: ignore[method-assign]
+    Runner(pool, config, tmp_path, {}).learn()
+    with open(tmp_path / "progress.csv", encoding="utf-8") as stream:
+        rows = list(csv.DictReader(stream))
+    assert [row["epoch"] for row in rows] == ["1", "2", "3", "4"] and rows[-1]["lost_workers"] == "1"
+    pool.close()
+
+
+def test_a_late_actor_is_left_behind_and_comes_back(cluster: str) -> None:
+    pool = make_pool(make_spec(3, [*QUICK, "pool.patience=2.0"]))
+    reference = _collected(pool, 4)
+    sleeper = ray.get(pool._actors[0].process_id.remote())  # type: ignore[attr-defined]
+    os.kill(sleeper, signal.SIGSTOP)
+    got = _collected(pool, 4)
+    assert got["valid"].tolist() == [False, True, False]
+    assert any("actor 0 is late" in event for event in pool.drain_events())
+    os.kill(sleeper, signal.SIGCONT)
+    ray.wait([pool._late[0][0]], timeout=60)  # type: ignore[attr-defined]
+    again = _collected(pool, 4)
+    assert again["valid"].all() and np.array_equal(again["reward"], reference["reward"])
+    pool.close()
+
+
+def test_no_cluster_at_an_address_is_one_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(ray, "is_initialized", lambda: False)
+
+    def refuse(**_: Any) -> None:
+        raise ConnectionError("nobody there")
+
+    monkeypatch.setattr(ray, "init", refuse)
+    with pytest.raises(ConfigError, match=r"pool\.address: cannot reach a Ray cluster at 'localhost:1'"):
+        make_pool(make_spec(1, [*QUICK, "pool.address='localhost:1'"]))
+
+
+def test_ray_is_an_extra(monkeypatch: pytest.MonkeyPatch) -> None:
+    import builtins
+
+    real = builtins.__import__
+
+    def missing(name: str, *arguments: Any, **words: Any) -> Any:
+        if name == "ray":
+            raise ImportError(name)
+        return real(name, *arguments, **words)
+
+    monkeypatch.setattr(builtins, "__import__", missing)
+    with pytest.raises(ConfigError, match=r"pip install 'dgrasp\[ray\]'"):
+        make_pool(make_spec(1, QUICK))
+    assert load_config(None, QUICK).pool.kind == "ray"

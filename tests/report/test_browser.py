@@ -1,0 +1,95 @@
+"""The report in a real browser: headless Chromium opens it from disk, finds the table, and its replay moves and turns.
+
+Looked for: chromium, chromium-browser, google-chrome, chrome on the path, then the browsers that playwright keeps.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from dgrasp.types import Array
+from tests.report.episodes import page
+
+FLAGS = (
+    "--headless", "--no-sandbox", "--disable-quic", "--no-first-run", "--disable-background-networking",
+    "--disable-component-update", "--disable-sync", "--disable-dev-shm-usage", "--hide-scrollbars",
+    # WebGL without a graphics card.
+    "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist",
+    "--force-device-scale-factor=1", "--window-size=900,700", "--virtual-time-budget=3000",
+)  # fmt: skip
+
+
+def chromium() -> str | None:
+    """A Chromium's path, or None."""
+    for name in ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome"):
+        if found := shutil.which(name):
+            return found
+    kept = Path(os.environ.get("PLAYWRIGHT_BROWSERS_PATH", Path.home() / ".cache" / "ms-playwright"))
+    built = sorted(p for p in kept.glob("chromium*/*/*") if p.name in ("chrome", "headless_shell", "Chromium"))
+    return str(built[-1]) if built else None
+
+
+class Browser:
+    """Opens the report anew for each look at it."""
+
+    def __init__(self, binary: str, folder: Path) -> None:
+        self.binary, self.folder, self.looks = binary, folder, 0
+        self.file = folder / "report.html"
+        self.file.write_text(page(), encoding="utf-8")
+
+    def _run(self, how: str, view: str) -> str:
+        self.looks += 1
+        profile = self.folder / f"profile{self.looks}"
+        words = [self.binary, *FLAGS, f"--user-data-dir={profile}", how, f"{self.file.as_uri()}#{view}"]
+        done = subprocess.run(words, capture_output=True, text=True, timeout=180)
+        assert done.returncode == 0, done.stderr[-2000:]
+        return done.stdout
+
+    def dom(self, view: str) -> str:
+        """The page's elements after its scripts have run."""
+        return self._run("--dump-dom", view)
+
+    def picture(self, view: str) -> Array:
+        """The middle of the replay that fills the window, (300, 500, 3): no text, no controls."""
+        file = self.folder / "shot.png"
+        file.unlink(missing_ok=True)
+        self._run(f"--screenshot={file}", f"{view}&full=1")
+        with Image.open(file) as image:
+            return np.asarray(image.convert("RGB"), dtype=int)[150:450, 200:700]
+
+
+@pytest.fixture(scope="module")
+def browser(tmp_path_factory: pytest.TempPathFactory) -> Browser:
+    found = chromium()
+    if found is None:
+        pytest.skip("no Chromium here (looked for chromium, google-chrome and playwright's); install one to run this")
+    return Browser(found, tmp_path_factory.mktemp("browser"))
+
+
+def test_the_table_is_there_and_the_viewer_runs(browser: Browser) -> None:
+    text = browser.dom("t=0.5")
+    assert 'data-viewer="ready"' in text
+    table = re.search(r'<table id="results">.*?</table>', text, re.S)
+    assert table is not None and "025_mug" in table[0] and "mean over objects" in table[0]
+    # Half of eight frames: 3.5 of 0 to 7.
+    assert 'data-frame="3.50"' in text
+    assert "lost (lift)" in browser.dom("t=1&replay=0")
+
+
+def test_the_replay_moves_and_turns(browser: Browser) -> None:
+    start, again, end, turned = (browser.picture(view) for view in (
+        "replay=2&t=0&zoom=2", "replay=2&t=0&zoom=2", "replay=2&t=1&zoom=2", "replay=2&t=0&zoom=2&yaw=170"))
+    assert np.abs(start - again).max() <= 2
+    # The hand turns by two radians and the object sinks by 7 cm: a good part of the picture is another.
+    for other in (end, turned):
+        assert (np.abs(start - other).max(axis=2) > 30).mean() > 0.03
+    # It shows the object, the only thing that is blue.
+    assert ((start[..., 2] - start[..., 0]) > 40).mean() > 0.01
