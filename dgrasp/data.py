@@ -158,7 +158,8 @@ def _find_root(config: Config) -> tuple[Path, list[str]]:
         if _is_release(folder):
             return folder, notes + ([f"from {name}"] if name != "data" else [])
         if _holds_recordings(folder):
-            notes.append(f"{folder} ({name}) holds DexYCB's raw recordings, which are not read directly")
+            notes.append(f"{folder} ({name}) holds DexYCB's raw recordings, which are not read directly; "
+                         "`dgrasp labels import dexycb` makes labels of them")
             looked.append(f"{folder} ({name}: raw recordings, which are not read directly)")
         elif name != "data" or folder.name == "dexycb":
             looked.append(f"{folder} ({name}: " + ("no labels/ in it)" if os.path.isdir(folder) else "no such folder)"))

@@ -74,10 +74,8 @@ def read_grasps(table: ManoTable, model: ManoModel, given: Answers, mean_shape: 
             raise DataError(f"{table.path}: --{question} {given[question]} contradicts the data, which is {answer}")
     T_AO = _objects(table, at_origin, given)
     known = given | implied
-    readings = {tuple(sorted(answers.items())): _coordinates(table, model, betas, answers)
-                for answers in _readings(known)}
-    chosen, found = _choose(table, model, betas, readings, known)
-    T_AH, hand_pose = readings[tuple(sorted(chosen.items()))]
+    chosen, found = _choose(table, model, betas, list(_readings(known)))
+    T_AH, hand_pose = _coordinates(table, model, betas, chosen, np.arange(n))
     notes = {key: f"{value} ({'given' if key in given else 'implied' if key in implied else found})"
              for key, value in chosen.items()}
     if "quaternion" in given and table.values.get("object_rotation", np.zeros((0, 3))).shape[1] == 4:
@@ -102,11 +100,13 @@ def _readings(known: Answers) -> Iterator[Answers]:
             yield reading
 
 
-def _coordinates(table: ManoTable, model: ManoModel, betas: Array, answers: Answers) -> tuple[Array, Array]:
-    """T_AH (n, 4, 4) and hand_pose (n, 45) of one reading."""
-    orient = table.need("global_orient", "give the wrist's rotation vector")
-    transl = table.need("transl", "give the translation")
-    pose = table.values["hand_pose"]
+def _coordinates(
+    table: ManoTable, model: ManoModel, betas: Array, answers: Answers, rows: Array
+) -> tuple[Array, Array]:
+    """T_AH (r, 4, 4) and hand_pose (r, 45) of these rows (r,) in one reading."""
+    orient = table.need("global_orient", "give the wrist's rotation vector")[rows]
+    transl = table.need("transl", "give the translation")[rows]
+    pose, betas = table.values["hand_pose"][rows], betas[rows]
     if answers["pose"] == "pca":
         vectors = from_pca(model, pose, flat_hand_mean=answers["mean"] == "flat")
     else:
@@ -116,20 +116,16 @@ def _coordinates(table: ManoTable, model: ManoModel, betas: Array, answers: Answ
         transl = transl - wrist_joints(model, betas)
     T_AH, hand_pose = ManoParams(orient, vectors, transl, betas).coordinates(model)
     if "hand_transform" in table.values:
-        moves = table.values["hand_transform"].reshape(-1, 4, 4)
-        checks.check_transforms(moves, "hand_transform", lambda row: f"{table.path}: row {row}")
+        moves = table.values["hand_transform"][rows].reshape(-1, 4, 4)
+        checks.check_transforms(moves, "hand_transform", lambda row: f"{table.path}: row {rows[row]}")
         T_AH = moves @ T_AH
     return T_AH, hand_pose
 
 
-def _choose(
-    table: ManoTable, model: ManoModel, betas: Array, readings: dict[tuple[tuple[str, str], ...], tuple[Array, Array]],
-    known: Answers,
-) -> tuple[Answers, str]:
-    """The one reading that is left, and how it was found."""
-    if not readings:
+def _choose(table: ManoTable, model: ManoModel, betas: Array, options: list[Answers]) -> tuple[Answers, str]:
+    """The one of the readings that is left, and how it was found."""
+    if not options:
         raise DataError(f"{table.path}: --pose pca and --fingers project contradict each other: PCA has MANO's order")
-    options = [dict(key) for key in readings]
     if len(options) == 1 and "joints" not in table.values:
         return options[0], "implied"
     unanswered = [q for q in ("pose", "mean", "fingers", "transl") if len({o[q] for o in options}) > 1]
@@ -140,8 +136,8 @@ def _choose(
     rows = np.linspace(0, len(table) - 1, min(len(table), COMPARED)).astype(int)
     given = table.values["joints"].reshape(len(table), -1, 3)[rows]
     errors, points = [], []
-    for T_AH, hand_pose in readings.values():
-        points.append(hand_vertices(model, betas[rows], T_AH[rows], hand_pose[rows])[1])
+    for answers in options:
+        points.append(hand_vertices(model, betas[rows], *_coordinates(table, model, betas, answers, rows))[1])
         # In whatever order the file has them: the tips, which data sets define differently, are left out.
         joints = points[-1][:, [k for k in range(21) if k % 4 or k == 0]]
         gaps = np.linalg.norm(joints[:, :, None] - given[:, None], axis=3).min(axis=2)

@@ -7,7 +7,6 @@ starts where the wrist comes within a set distance of the object for good.
 from __future__ import annotations
 
 import dataclasses
-from collections import Counter
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -57,8 +56,9 @@ class Options:
 
 @dataclass(frozen=True)
 class Imported:
-    """labels: numbered. skipped: per sequence the reason and the detail. sequences: all that were looked at.
+    """What a data set gave.
 
+    labels: numbered. skipped: per sequence the reason and the detail. sequences: all that were looked at.
     in_split: how many of them belong to the split. cached: labels and reasons that came from the cache. flipped: tags
     whose z pointed into the table.
     """
@@ -69,11 +69,6 @@ class Imported:
     in_split: int
     cached: int
     flipped: int
-
-    @property
-    def reasons(self) -> dict[str, int]:
-        """How many sequences were skipped for each reason, most first."""
-        return dict(Counter(reason for reason, _ in self.skipped.values()).most_common())
 
     @property
     def no_start(self) -> int:
@@ -150,6 +145,7 @@ def import_dexycb(
     for folder in progress([folder for folder, sequence in sequences.items() if sequence.name in wanted]):
         sequence = sequences[folder]
         try:
+            calibration.world(sequence.extrinsics)
             key = _key(sequence, calibration, maker, mano_sha256, options)
             found = cache.get(key)
             cached += found is not None

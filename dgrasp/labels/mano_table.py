@@ -19,8 +19,8 @@ from dgrasp.labels.npz_reader import open_npz
 from dgrasp.objects.names import resolve_object
 from dgrasp.types import Array
 
-MAX_BYTES = 32 * 2**20
-MAX_ROWS = 100_000
+MAX_BYTES = 16 * 2**20
+MAX_ROWS = 20_000
 WIDTHS: dict[str, tuple[int, ...]] = {
     "params": (61,), "global_orient": (3,), "hand_pose": tuple(range(1, 46)), "transl": (3,),
     "betas": tuple(range(1, 11)), "object_rotation": (3, 4, 9), "object_translation": (3,), "hand_transform": (16,),

@@ -17,6 +17,7 @@ import numpy as np
 
 from dgrasp.atomic import write_atomic
 from dgrasp.errors import DGraspError
+from dgrasp.geometry.closing import close_mesh
 from dgrasp.objects.catalogue import CATALOGUE, catalogue_object
 from dgrasp.objects.parts import obj_text
 from dgrasp.objects.solids import block, lofted, plate, rounded, smooth, swept, turned
@@ -37,8 +38,10 @@ def free_mesh(name: str) -> tuple[Array, Array]:
     low, high = np.array(solid.bounding_box()).reshape(2, 3)
     solid = solid.translate(tuple(-(low + high) / 2)).scale(tuple(np.array(entry.extents) / (high - low)))
     triangles = solid.to_mesh64()
+    # Booleans leave edges of no length; rounded, their ends are one vertex, and faces without area go.
     vertices = np.round(np.asarray(triangles.vert_properties)[:, :3], 6) + 0.0
-    return vertices, np.asarray(triangles.tri_verts, dtype=np.int64)
+    closed = close_mesh(vertices, np.asarray(triangles.tri_verts))
+    return closed.vertices, closed.faces
 
 
 def _can(radius: float, height: float) -> Any:
@@ -148,7 +151,8 @@ def _scissors() -> Any:
                           (0.0115, -0.047)])  # fmt: skip
         outline = manifold3d.CrossSection.hull_points(blade * np.array([side, 1.0]))
         whole += swept(loop, np.full(32, 0.0075), (0.0, 0.0, 1.0), closed=True)
-        whole += plate(outline, 0.006, 0.0 if side > 0 else -0.006)
+        # The blades share a hair's breadth: solids that just touch have no clear surface.
+        whole += plate(outline, 0.0061, -0.0001 if side > 0 else -0.006)
     return whole
 
 

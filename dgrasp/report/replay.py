@@ -1,8 +1,9 @@
 """Replays for the page's viewer: meshes and poses as base64 of 16-bit numbers, and which episodes are shown.
 
 A mesh: `lo` (3,) and `step` (m) unpack `v` (V x 3, uint16); `f` are faces (F x 3, uint16). A replay of n frames: `p`
-(n x 17 x 3, uint16) are positions by its own `lo` and `step`, `q` (n x 17 x 4, int16) quaternions w, x, y, z times
-32767, `c` (n, uint16) a bit for each part that touches the object. Little endian, bodies as in `view.meshes.BODIES`.
+(n x B x 3, uint16) are positions by its own `lo` and `step`, `q` (n x B x 4, int16) quaternions w, x, y, z times
+32767, `c` (n, uint16) a bit for each part that touches the object. Little endian. The B bodies are those of
+`view.meshes.BODIES`, and where the object is moved, one more for its target.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ from dgrasp.scene.scene import LOWERED_TOP, TABLE_TOP
 from dgrasp.types import Array, EpisodeRecord
 from dgrasp.view.camera import viewpoint
 from dgrasp.view.meshes import DisplayMeshes, Mesh, body_poses
+from raisim_like.rotations import quaternion_from_matrix
 
 SHOWN = 10
 """Replays at either end of the ranking."""
@@ -65,6 +67,10 @@ def pack(
 def _replay(group: str, record: EpisodeRecord, row: Row, meshes: DisplayMeshes) -> dict[str, Any]:
     stride = -(-len(record.gc) // MAX_FRAMES)
     q, t = (values[::stride] for values in body_poses(meshes, record))
+    if record.target_T_WO is not None:
+        T = np.broadcast_to(record.target_T_WO, (len(record.gc), 4, 4))[::stride]
+        target_q = quaternion_from_matrix(T[:, :3, :3])
+        q, t = np.concatenate([q, target_q[:, None]], axis=1), np.concatenate([t, T[:, None, :3, 3]], axis=1)
     t = np.clip(t, t[0, 0] - REACH, t[0, 0] + REACH)
     target, yaw = viewpoint(record)
     lo, step, places = _quantised(t)
@@ -74,7 +80,7 @@ def _replay(group: str, record: EpisodeRecord, row: Row, meshes: DisplayMeshes) 
         "group": group, "object": row["object"], "index": row["index"],
         "failure": row.get("failure"), "lost_s": row.get("lost_s"),
         "metrics": {name: row[name] for name in shown if name in row},
-        "n": len(t), "dt": record.dt * stride, "start": (record.window_start - 1) / stride,
+        "n": len(t), "bodies": t.shape[1], "dt": record.dt * stride, "start": (record.window_start - 1) / stride,
         "yaw": round(yaw, 3), "target": [round(float(x), 4) for x in target],
         "lo": lo, "step": step, "p": _text(places, "<u2"), "q": _text(np.rint(q * 32767.0), "<i2"),
         "c": _text(bits, "<u2"),

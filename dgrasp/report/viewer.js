@@ -52,12 +52,12 @@ const Replays = (() => {
     return { hand: data.hand.map(geometry), objects, replays, table: data.table };
   }
 
-  const BODIES = 17;
+  const OBJECT = 16, TARGET = 17;
 
   // The pose of a body at a frame, between two recorded ones too: a 4 x 4 matrix by columns.
   function pose(r, body, frame) {
     const i = Math.max(0, Math.min(r.n - 1, Math.floor(frame))), j = Math.min(r.n - 1, i + 1);
-    const w = Math.max(0, Math.min(1, frame - i)), a = i * BODIES + body, b = j * BODIES + body;
+    const w = Math.max(0, Math.min(1, frame - i)), a = i * r.bodies + body, b = j * r.bodies + body;
     const mix = (x, y) => x + w * (y - x);
     const t = [0, 1, 2].map((k) => r.lo[k] + r.step * mix(r.p[3 * a + k], r.p[3 * b + k]));
     const q = [0, 1, 2, 3].map((k) => mix(r.q[4 * a + k], r.q[4 * b + k]));
@@ -223,10 +223,18 @@ const Replays = (() => {
       gl.uniform1i(at.kind, 0);
       const touching = r.c[Math.max(0, Math.min(r.n - 1, Math.round(frame)))];
       bodies.forEach((g, body) => {
-        const kind = body === BODIES - 1 ? "object" : (touching >> body) & 1 ? "contact" : "hand";
+        const kind = body === OBJECT ? "object" : (touching >> body) & 1 ? "contact" : "hand";
         gl.uniform4fv(at.color, colors[kind]);
         mesh(g, poses[body]);
       });
+      if (r.bodies > TARGET) {
+        gl.enable(gl.BLEND);
+        gl.depthMask(false);
+        gl.uniform1i(at.kind, 1);
+        gl.uniform4fv(at.color, [...colors.object.slice(0, 3), 0.22]);
+        mesh(bodies[OBJECT], pose(r, TARGET, frame));
+        gl.depthMask(true);
+      }
       const flatCanvas = onto.getContext("2d");
       flatCanvas.clearRect(0, 0, width, height);
       flatCanvas.drawImage(canvas, 0, 0, width, height, 0, 0, width, height);

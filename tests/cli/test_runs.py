@@ -72,6 +72,19 @@ def test_after_a_kill_the_weights_are_those_of_a_run_that_never_stopped(
     assert all(torch.equal(a.model[name], b.model[name]) for name in b.model)
 
 
+def test_a_full_disk_ends_the_run_and_leaves_the_checkpoint_before(folder: Path, tmp_path: Path) -> None:
+    resource = pytest.importorskip("resource")
+    if not hasattr(resource, "prlimit"):
+        pytest.skip("this system has no prlimit to forbid a running process large files with")
+    process = _train(folder, tmp_path / "run", "ppo.epochs=100000", "eval.every=100000", "pool.workers=1")
+    _wait_for_epoch(tmp_path / "run", 1, process)
+    # From now on no file can grow beyond a few bytes, as on a full disk.
+    resource.prlimit(process.pid, resource.RLIMIT_FSIZE, (100, 100))
+    _, message = process.communicate(timeout=60)
+    assert process.returncode == 2 and "cannot write" in message and "Traceback" not in message
+    checkpoint.load(checkpoint.latest(tmp_path / "run"))
+
+
 def test_a_run_directory_belongs_to_one_process(
     folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -154,6 +154,9 @@ def test_a_tag_that_faces_down_is_turned(
     mini.add("s1", "a", standard(), tag="down")
     (label,) = run(mini, hand)
     assert "tags whose z points into the table, turned about x: 1" in capsys.readouterr().out
+    run(mini, hand)
+    shown = capsys.readouterr().out
+    assert "1 results from the cache" in shown and "turned about x: 1" in shown
     # Its y and z are reversed; turned about its x, it is the upright tag again.
     np.testing.assert_allclose(label.T_WO[:3, 3], [0.6, 0.2, 0.612], atol=1e-6)
 

@@ -33,11 +33,11 @@ def test_every_worker_has_one_and_every_environment_a_worker(workers: int) -> No
         assert all(part.stop > part.start for part in rows)
 
 
-def test_a_division_by_cost_changes_no_bit(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_division_by_cost_changes_no_bit(monkeypatch: pytest.MonkeyPatch, engine: str) -> None:
     rng = np.random.default_rng(0)
     layer = (rng.normal(size=(51, 279)).astype(np.float32) / 50, rng.normal(size=51).astype(np.float32))
     actor = Actor((layer,), np.full(51, 0.5, np.float32), 1)
-    pool = ProcessPool(make_spec(3, ["env.episode_steps=65"]), 2)
+    pool = ProcessPool(make_spec(3, ["env.episode_steps=65", f"engine={engine}"]), 2)
     try:
         before = {k: v.copy() for k, v in vars(pool.collect(actor, 2, 65, lambda n: None)).items()}
         # The first label is told to have cost as much as the other two.

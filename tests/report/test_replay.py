@@ -65,6 +65,16 @@ def test_unpacking_gives_back_meshes_and_poses() -> None:
     assert (one["n"], one["dt"], one["start"]) == (STEPS, DT, 2.0)
 
 
+def test_a_target_is_one_more_body() -> None:
+    target = np.eye(4)
+    target[:3, 3] = [0.4, 0.1, 0.9]
+    (one,) = packed(target_T_WO=target)["replays"]
+    assert one["bodies"] == 18 and packed()["replays"][0]["bodies"] == 17
+    places = (np.array(one["lo"]) + one["step"] * numbers(one["p"], "<u2", 3)).reshape(STEPS, 18, 3)
+    assert places[:, 17] == pytest.approx(np.tile([0.4, 0.1, 0.9], (STEPS, 1)), abs=1e-4)
+    assert numbers(one["q"], "<i2", 4).reshape(STEPS, 18, 4)[:, 17].tolist() == [[32767.0, 0.0, 0.0, 0.0]] * STEPS
+
+
 def test_long_and_broken_episodes(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(replay, "MAX_FRAMES", 4)
     (one,) = packed()["replays"]
