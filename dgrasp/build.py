@@ -23,7 +23,7 @@ def build_objects(choice: DataChoice, config: Config) -> dict[str, ObjectModel]:
 
     def build(name: str) -> ObjectModel:
         if name in choice.added:
-            return load_object(choice.added[name].folder, physics.official_compat, parts=concave != "mesh")
+            return load_object(choice.added[name].folder, physics.official_compat, parts=concave == "parts")
         if choice.kind == "free":
             return free_object(name, physics.masses, physics.official_compat)
         return release_object(choice.objects_dir, name, physics.masses, physics.official_compat, concave)

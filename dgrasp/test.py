@@ -34,6 +34,7 @@ from dgrasp.report.page import write_report
 from dgrasp.rl import checkpoint
 from dgrasp.rl.progress import format_duration
 from dgrasp.rl.published import load_published_actor
+from dgrasp.tables.plan import NAMES
 from dgrasp.train import find_config
 from dgrasp.types import EpisodeRecord
 from dgrasp.view.frames import gif_bytes, render_record, tile
@@ -52,6 +53,7 @@ examples:
   python test.py --baseline gt_pd --labels MY.npz --report out.html   charts, failures, replays in one file
   python test.py --cfg cfg/motion.yaml --policy full_6000.pt          motion synthesis, as in the paper
   python test.py --run runs/dexycb_1 --motion MY.csv                  to your own poses, or along your own path
+  python test.py --table grasp --engine mujoco           a table of the paper; --budget 60 trains what it lacks
   python test.py --baseline static_grasp [--policy full_6000.pt]      the fingers only hold while the wrist moves
 """
 
@@ -63,6 +65,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     what = parser.add_mutually_exclusive_group()
     what.add_argument("--run", type=Path, metavar="DIR", help="the last checkpoint of a training run")
     what.add_argument("--policy", type=Path, metavar="FILE.pt", help="a checkpoint: ours, or one of the authors'")
+    parser.add_argument("--table", choices=(*NAMES, "all"), help="a table of the paper: evaluate what is there, say how to "
+                        "train the rest")
+    parser.add_argument("--budget", type=float, metavar="MINUTES", help="with --table: train what is missing, so long")
+    parser.add_argument("--runs", type=Path, default=Path("runs/tables"), metavar="DIR",
+                        help="with --table: where its runs and results are (default: runs/tables)")
     parser.add_argument("--motion", metavar="easy|ood|circle|pour|FILE",
                         help="move the object to targets: the authors', own ones, a path, or a file of poses")
     parser.add_argument("--cfg", type=Path, metavar="FILE", help="experiment (default: the run's, or cfg/dexycb.yaml)")
@@ -84,13 +91,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def main(arguments: argparse.Namespace) -> int:
     """Run the evaluation that the command line describes; returns the exit code."""
     torch.set_num_threads(1)
+    if arguments.table is not None:
+        from dgrasp.tables.command import main as fill_tables  # which evaluates by means of this module
+
+        return fill_tables(arguments)
     for file in (arguments.json, arguments.report, arguments.gif):
         if file is not None and not file.parent.is_dir():
             raise DataError(f"{file}: the folder {file.parent} does not exist")
     if arguments.records is not None:
         check_folder(arguments.records)
-    method = _method(arguments)
     config = _config(arguments)
+    method = _method(arguments)
     choice = resolve(config)
     if isinstance(method, StaticGrasp) and config.motion.targets is None:
         config = config.model_copy(update={"motion": config.motion.model_copy(update={"targets": usual_set(choice)})})

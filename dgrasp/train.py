@@ -21,6 +21,7 @@ from dgrasp.eval.method import PolicyMethod
 from dgrasp.eval.summary import summarise
 from dgrasp.paths import cfg_root
 from dgrasp.pool import Pool, PoolSpec, make_pool
+from dgrasp.rl import checkpoint
 from dgrasp.rl.networks import Policy
 from dgrasp.rl.runner import Runner
 from dgrasp.view.frames import gif_bytes, render_record
@@ -76,7 +77,10 @@ def main(arguments: argparse.Namespace) -> int:
     print(choice.describe(), flush=True)
     if arguments.resume is None:
         start_run(run_dir, config, choice)
-    train(run_dir, config, choice, resume=arguments.resume is not None)
+    resume = arguments.resume is not None and bool(checkpoint.saved(run_dir))
+    if arguments.resume is not None and not resume:
+        print(f"{run_dir} was stopped before its first checkpoint, so it begins anew", flush=True)
+    train(run_dir, config, choice, resume)
     print(f"done: {run_dir}\ntest it:  python test.py --run {run_dir}\nwatch it: tensorboard --logdir {run_dir.parent}")
     return 0
 

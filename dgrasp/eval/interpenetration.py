@@ -75,9 +75,10 @@ class Interpenetration:
         """What the numbers rest on, plain values; see docs/metrics.md."""
         bodies = self.objects.values()
         detailed = sum(b.detailed for b in bodies)
+        kinds = {"detailed" if b.detailed else "own" if b.own else "collision shapes" for b in bodies}
         return {
             "hand_mesh": self.surface.kind,
-            "object_mesh": "collision shapes" if not detailed else "detailed" if detailed == len(bodies) else "mixed",
+            "object_mesh": kinds.pop() if len(kinds) == 1 else "mixed",
             "as_in_the_paper": self.surface.kind == SKIN and detailed == len(bodies),
             "holes_capped_in_objects": sum(b.body.holes for b in bodies),
             "measured": self.measured,

@@ -30,6 +30,10 @@ DISPLACEMENT = 0.01
 """m from where the object lay; in the labels that the authors published it is 9 mm (median)."""
 START_DISTANCE = 0.20
 """m between wrist and object at the start; in the labels that the authors published it is 0.18 to 0.20."""
+APPROACH = 0.05
+"""m that the wrist approaches in grasps of large objects, whose origin is beyond the start's distance anyhow."""
+FAR = 0.4
+"""m. A wrist farther from the object's origin than this does not grasp it."""
 TRAIN_SHARE = 0.75
 
 _VERSION = 1
@@ -94,9 +98,11 @@ def find_frames(track: Track, wrists: Array, displacement: float, distance: floa
         raise Skip("hand not annotated once the object has moved" if late else "object not moved beyond the threshold")
     grasp = int(grasps[0])
     both = np.flatnonzero(track.object_seen[: grasp + 1] & track.hand_seen[: grasp + 1])
-    far = np.linalg.norm(wrists[both] - place[both], axis=1) > distance
-    if far[-1]:
+    apart = np.linalg.norm(wrists[both] - place[both], axis=1)
+    if apart[-1] > FAR:
         raise Skip("wrist far from the object at the grasp")
+    # A large object's origin may be farther from the wrist than that even when it is grasped.
+    far = apart > (distance if apart[-1] < distance else apart[-1] + APPROACH)
     last_far = np.flatnonzero(far)
     start = int(both[last_far[-1] + 1]) if last_far.size else None
     return grasp, None if start == grasp else start

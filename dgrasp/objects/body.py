@@ -20,10 +20,15 @@ DETAILED_MESH = "textured_meshlab.obj"
 
 @dataclass(frozen=True, eq=False)
 class ObjectBody:
-    """An object in its frame O; detailed: made from a mesh of its surface, not from collision shapes."""
+    """An object in its frame O.
+
+    detailed: made from the release's detailed mesh. own: made from a mesh of ours, or of the user's. Else from the
+    collision shapes.
+    """
 
     body: Body
     detailed: bool
+    own: bool = False
 
 
 def object_body(model: ObjectModel, objects_dir: Path) -> ObjectBody:
@@ -32,9 +37,10 @@ def object_body(model: ObjectModel, objects_dir: Path) -> ObjectBody:
     Raises `DataError` for a damaged mesh.
     """
     file = Path(objects_dir) / model.name / DETAILED_MESH
-    mesh = file if file.is_file() else model.mesh
+    detailed = file.is_file()
+    mesh = file if detailed else model.mesh
     shapes: Sequence[Shape] = model.shapes if mesh is None else (Shape("mesh", file=mesh),)
-    return ObjectBody(body([shape_mesh(shape) for shape in shapes]), mesh is not None)
+    return ObjectBody(body([shape_mesh(shape) for shape in shapes]), detailed, not detailed and mesh is not None)
 
 
 def surface_points(of: Body, spacing: float) -> Array:

@@ -14,6 +14,7 @@ from typing import Any, Literal
 
 import numpy as np
 from scipy.optimize import minimize
+from scipy.spatial import QhullError
 
 from dgrasp.atomic import write_atomic
 from dgrasp.errors import DataError
@@ -27,6 +28,7 @@ from dgrasp.objects.repair import Solid
 from dgrasp.types import Array
 from raisim_like.rotations import quaternion_from_matrix
 from raisim_like.shapes import Shape
+from raisim_like.urdf import shape_pose
 
 Choice = Literal["auto", "box", "cylinder", "sphere", "capsule", "parts", "mesh"]
 PRIMITIVES = ("box", "cylinder", "sphere", "capsule")
@@ -131,14 +133,16 @@ def fit_primitive(solid: Solid, kind: str) -> tuple[Shape, float] | None:
     mesh = trimesh.Trimesh(vertices, faces, process=False)
     part = PartMesh("object", vertices, faces)
     # The bounding shape is exact for a solid that is such a shape; points that are counted are not.
-    starts = _bounding(kind, mesh)
+    starts: list[Shape] = []
+    with contextlib.suppress(QhullError, ValueError):  # Of solids nearly without a thickness.
+        starts = _bounding(kind, mesh)
     rated = [(union_overlap(light, (shape,)), shape) for shape in starts]
     if not rated or rated[0][0] < _EXACT:
         if kind in ("box", "capsule"):
             with contextlib.suppress(DataError):
                 found = fit_box(part) if kind == "box" else fit_capsule(part)
                 rated.append((union_overlap(light, (found.shape,)), found.shape))
-        elif kind == "cylinder":
+        elif kind == "cylinder" and starts:
             climbed = _climbed_cylinder(starts[0], mesh)
             rated.append((union_overlap(light, (climbed,)), climbed))
     if not rated:
@@ -168,7 +172,7 @@ def _climbed_cylinder(start: Shape, mesh: Any) -> Shape:
     points = inner_points(np.asarray(mesh.vertices), np.asarray(mesh.faces), _FIT_POINTS)
     if len(points) < 100:
         return start
-    T, volume = _pose(start), float(mesh.volume)
+    T, volume = shape_pose(start), float(mesh.volume)
     local = (points - T[:3, 3]) @ T[:3, :3]
 
     def cost(x: Array) -> float:
@@ -197,12 +201,6 @@ def _climb(cost: Callable[[Array], float], start: Array, steps: Array) -> Array:
     found = minimize(cost, start, method="Nelder-Mead",
                      options={"maxiter": 100 * len(start), "initial_simplex": simplex, "xatol": 1e-5, "fatol": 1e-5})
     return np.asarray(found.x)
-
-
-def _pose(shape: Shape) -> Array:
-    from raisim_like.urdf import shape_pose
-
-    return np.asarray(shape_pose(shape))
 
 
 def _placed(kind: Literal["box", "cylinder", "sphere"], size: tuple[float, ...], T: Array) -> Shape:

@@ -18,8 +18,7 @@ from dgrasp.eval.summary import Row
 from dgrasp.scene.scene import LOWERED_TOP, TABLE_TOP
 from dgrasp.types import Array, EpisodeRecord
 from dgrasp.view.camera import viewpoint
-from dgrasp.view.meshes import DisplayMeshes, Mesh, body_poses
-from raisim_like.rotations import quaternion_from_matrix
+from dgrasp.view.meshes import DisplayMeshes, Mesh, blendable, body_poses
 
 SHOWN = 10
 """Replays at either end of the ranking."""
@@ -69,8 +68,8 @@ def _replay(group: str, record: EpisodeRecord, row: Row, meshes: DisplayMeshes) 
     q, t = (values[::stride] for values in body_poses(meshes, record))
     if record.target_T_WO is not None:
         T = np.broadcast_to(record.target_T_WO, (len(record.gc), 4, 4))[::stride]
-        target_q = quaternion_from_matrix(T[:, :3, :3])
-        q, t = np.concatenate([q, target_q[:, None]], axis=1), np.concatenate([t, T[:, None, :3, 3]], axis=1)
+        q = np.concatenate([q, blendable(T[:, None, :3, :3])], axis=1)
+        t = np.concatenate([t, T[:, None, :3, 3]], axis=1)
     t = np.clip(t, t[0, 0] - REACH, t[0, 0] + REACH)
     target, yaw = viewpoint(record)
     lo, step, places = _quantised(t)

@@ -88,8 +88,7 @@ def merged(mesh: Mesh, cell: float) -> Mesh:
 def body_poses(meshes: DisplayMeshes, record: EpisodeRecord) -> tuple[Array, Array]:
     """Quaternions (T, 17, 4), w, x, y, z, and positions (T, 17, 3) m of `BODIES` in the world at each step.
 
-    A quaternion lies on the side of the one before, so that they can be blended. Steps that a breaking simulation left
-    with NaN repeat the last whole one.
+    Quaternions are `blendable`. Steps that a breaking simulation left with NaN repeat the last whole one.
     """
     n = len(record.gc)
     rows = np.concatenate([record.T_WH.reshape(n, 16), record.T_WO.reshape(n, 16), record.gc], axis=1)
@@ -98,9 +97,14 @@ def body_poses(meshes: DisplayMeshes, record: EpisodeRecord) -> tuple[Array, Arr
     R, t = part_poses(meshes, T_WH, gc[:, 6:])
     R = np.concatenate([R, T_WO[:, None, :3, :3]], axis=1)
     t = np.concatenate([t, T_WO[:, None, :3, 3]], axis=1)
+    return blendable(R), t
+
+
+def blendable(R: Array) -> Array:
+    """Quaternions (T, ..., 4), w, x, y, z, of rotations (T, ..., 3, 3), each on the side of the one before."""
     q = quaternion_from_matrix(R)
     q[1:] *= np.cumprod(np.where((q[1:] * q[:-1]).sum(axis=-1, keepdims=True) < 0.0, -1.0, 1.0), axis=0)
-    return q, t
+    return q
 
 
 def table_tops(record: EpisodeRecord, on: float, lowered: float) -> Array:

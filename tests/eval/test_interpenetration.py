@@ -108,7 +108,8 @@ def test_of_the_chosen_data() -> None:
     choice = resolve(config)
     bodies = build_bodies(choice, {"025_mug": free_object("025_mug", "official", True)})
     measure = build_interpenetration(choice, config, free_hand(), bodies)
-    assert measure.report()["hand_mesh"] == "skinned mesh" and not bodies["025_mug"].detailed
+    assert measure.report()["hand_mesh"] == "skinned mesh" and measure.report()["object_mesh"] == "own"
+    assert not measure.report()["as_in_the_paper"]
     one = choice.labels.labels[0]
     value = measure.measure(dataclasses.replace(grasped(np.zeros(3)), label=one))["interpenetration_cm3"]
     assert 0.0 < value < 20.0

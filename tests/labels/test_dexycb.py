@@ -121,7 +121,7 @@ def test_several_subjects_and_what_is_skipped(
     mini.add("s3", "f", standard(hidden_object=tuple(range(FRAMES))))
     mini.add("s3", "g", standard(place=np.tile(place[0], (FRAMES, 1))))
     mini.add("s3", "h", standard(hidden_hand=tuple(range(22, FRAMES))))
-    mini.add("s3", "i", standard(wrist=wrist + np.array([0.1, 0.0, 0.0])))
+    mini.add("s3", "i", standard(wrist=wrist + np.array([0.3, 0.0, 0.0])))
     mini.add("s3", "j", standard(side="left"))
     mini.add("s3", "k", standard(object=19))
     damaged = mini.add("s3", "l", standard())
@@ -248,6 +248,13 @@ def test_frames_by_hand(mini: MiniDexYcb) -> None:
     wrists[21] += 1.0
     # The first frame within the distance is the grasp itself: there is no approach.
     assert find_frames(track, wrists, 0.01, 0.2) == (22, None)
+    # A wrist at 0.25 m when it grasps, farther than the start's distance: from 0.30 m on it approaches.
+    wrists = track.T_CO[:, :3, 3] + [0.25, 0, 0]
+    wrists[:8] += [0.04, 0, 0]
+    wrists[:6] += [0.02, 0, 0]
+    assert find_frames(track, wrists, 0.01, 0.2) == (22, 6)
+    with pytest.raises(Skip, match="far from the object"):
+        find_frames(track, wrists + np.array([0.2, 0, 0]), 0.01, 0.2)
     with pytest.raises(Skip, match="not moved"):
         find_frames(track, wrists, 0.5, 0.2)
 

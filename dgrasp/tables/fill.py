@@ -1,0 +1,239 @@
+"""Fill a table: train what is missing if there is a budget, evaluate what is trained, keep what was evaluated."""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import json
+import shlex
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from dgrasp import test, train
+from dgrasp.atomic import write_atomic
+from dgrasp.config import Config, load_config
+from dgrasp.data import DataChoice, resolve
+from dgrasp.errors import DataError, DGraspError
+from dgrasp.eval.motion import usual_set
+from dgrasp.eval.summary import Row, summarise
+from dgrasp.rl import checkpoint
+from dgrasp.runs import read_run
+from dgrasp.tables.plan import ALL_OBJECTS, Line, Plan, Trained, Trial
+
+Say = Callable[[str], None]
+_OF_TRAINING = ("env", "ppo", "labels.per_epoch", "physics.preset", "physics.official_compat", "physics.masses")
+"""Keys that make a training another than the paper's."""
+
+
+@dataclass
+class Cells:
+    """A filled row. values: metric -> mean over objects; intervals: metric -> [low, high]; n: labels (or motions).
+
+    missing: why there are no values. notes: what a reader must know of them. comparable: hand and labels are the
+    paper's. commands: what evaluates it by hand.
+    """
+
+    line: Line
+    values: dict[str, float] = field(default_factory=dict)
+    intervals: dict[str, list[float]] = field(default_factory=dict)
+    n: int = 0
+    comparable: bool = False
+    missing: list[str] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+    commands: list[str] = field(default_factory=list)
+
+
+class Tables:
+    """Runs and results of one recipe, engine and seed below `root`.
+
+    cfg: the recipe that policies are trained with. overrides: keys for trainings and evaluations alike, such as data,
+    engine and seed. policy: a checkpoint that stands in for the policy of all objects, such as one that the authors
+    published. budget_min: minutes for all trainings that are missing together; None trains nothing.
+    """
+
+    def __init__(
+        self, root: Path, cfg: Path | None, overrides: Sequence[str], policy: Path | None = None,
+        budget_min: float | None = None, say: Say = print,
+    ) -> None:  # fmt: skip
+        self.cfg = cfg or Path("cfg/dexycb.yaml")
+        self.overrides, self.policy, self.budget_min, self.say = list(overrides), policy, budget_min, say
+        config = self._config([])
+        self.root = root / f"{config.name}_{config.engine}_seed{config.seed}"
+        self.results = root / "results"
+
+    def _config(self, overrides: Sequence[str]) -> Config:
+        return load_config(train.find_config(self.cfg), [*self.overrides, *overrides])
+
+    # Trainings ---------------------------------------------------------------------------------
+
+    def run_dir(self, run: Trained) -> Path:
+        """Where a training is, or will be."""
+        return self.root / run.key
+
+    def train_words(self, run: Trained) -> list[str]:
+        """Arguments of train.py."""
+        words = ["--cfg", str(run.cfg or self.cfg), "--run", str(self.run_dir(run)), *self.overrides, *run.overrides]
+        if run.policy is not None:
+            words.append(f"motion.policy={json.dumps(str(self._policy_of(run.policy)))}")
+        return words
+
+    def _policy_of(self, run: Trained) -> Path:
+        if run == ALL_OBJECTS and self.policy is not None:
+            return self.policy
+        return checkpoint.latest(self.run_dir(run))
+
+    def _is_trained(self, run: Trained) -> bool:
+        if run == ALL_OBJECTS and self.policy is not None:
+            return True
+        return bool(checkpoint.saved(self.run_dir(run)))
+
+    def _needs(self, run: Trained) -> str | None:
+        """What is left to do for a run: "train", "resume", or nothing."""
+        if run == ALL_OBJECTS and self.policy is not None:
+            return None
+        folder = self.run_dir(run)
+        if not (folder / "config.yaml").is_file():
+            return "train"
+        return "resume" if read_run(folder).state in ("stopped", "new") else None
+
+    def train_missing(self, plans: Sequence[Plan]) -> None:
+        """Train what the tables lack within the budget, each run with an equal share of what is left of it."""
+        if self.budget_min is None:
+            return
+        todo = [run for run in needed(plans) if self._needs(run) is not None]
+        end = time.monotonic() + 60.0 * self.budget_min
+        for i, run in enumerate(todo):
+            share = max((end - time.monotonic()) / 60.0 / (len(todo) - i), 0.01)
+            if run.policy is not None and not self._is_trained(run.policy):
+                continue
+            resume = self._needs(run) == "resume"
+            words = ["--resume", str(self.run_dir(run))] if resume else self.train_words(run)
+            self.say(f"training {i + 1} of {len(todo)}: {run.key}, {share:.1f} minutes")
+            try:
+                train.main(_parse(train, [*words, f"ppo.max_minutes={share:.4f}"]))
+            except DataError as error:
+                # One table's data may lack what another's has.
+                self.say(f"{run.key}: {error}")
+
+    # Evaluations -------------------------------------------------------------------------------
+
+    def fill(self, plan: Plan) -> list[Cells]:
+        """The rows of a table, with what there is."""
+        return [self._fill_line(line, plan.name == "motion") for line in plan.lines]
+
+    def _fill_line(self, line: Line, motion: bool) -> Cells:
+        cells, rows, results = Cells(line), list[Row](), list[dict[str, Any]]()
+        for trial in line.trials:
+            if trial.run is not None and not self._is_trained(trial.run):
+                cells.missing.append(self._how_to_train(trial.run))
+                continue
+            try:
+                result, command = self._evaluate(trial, motion)
+            except DGraspError as error:
+                cells.missing.append(f"{line.group}, {line.name}: {error}")
+                continue
+            cells.commands.append(command)
+            rows += result["per_label"]
+            results.append(result)
+            if trial.run is not None:
+                cells.notes += self._about(trial.run)
+        if not rows:
+            return cells
+        first = results[0]
+        whole = summarise(
+            rows, method=first["method"], engine=first["engine"], window_s=first["window_s"], seed=first["seed"],
+            data=first["data"], cost=first["cost"], motion=first.get("motion"),
+        )  # fmt: skip
+        cells.values, cells.n = dict(whole.mean_over_objects), len(rows)
+        cells.intervals = dict(whole.intervals["mean_over_objects"])
+        cells.comparable = all(result["data"].get("comparable_with_paper") for result in results)
+        if len(results) < len(line.trials):
+            cells.notes.append(f"{line.group}, {line.name}: {len(results)} of {len(line.trials)} evaluations are there")
+        return cells
+
+    def _how_to_train(self, run: Trained) -> str:
+        if run.policy is not None and not self._is_trained(run.policy):
+            return f"{self._how_to_train(run.policy)} and then train {run.key}"
+        return shlex.join(["python", "train.py", *self.train_words(run)])
+
+    def _about(self, run: Trained) -> list[str]:
+        """What differs from the paper's training, and whether this one came to its end."""
+        if run == ALL_OBJECTS and self.policy is not None:
+            return [f"the policy of all objects is {self.policy.name}"]
+        read = read_run(self.run_dir(run))
+        paper, here = _flat(Config()), _flat(read.config)
+        changed = [f"{key}={here[key]}" for key in here
+                   if key.startswith(_OF_TRAINING) and here[key] != paper[key] and key != "ppo.max_minutes"]
+        made = f"{read.number('control_steps'):,.0f} control steps, {read.number('core_hours'):.2f} core-hours"
+        end = "" if read.number("epoch") >= read.config.ppo.epochs else f" of {read.config.ppo.epochs}"
+        return [f"{run.key}: {read.number('epoch'):.0f}{end} epochs, {made}"
+                + (f"; differs from the paper's training in {', '.join(changed)}" if changed else "")]
+
+    def _evaluate(self, trial: Trial, motion: bool) -> tuple[Any, str]:
+        words: list[str] = []
+        if trial.run is not None:
+            use_policy = trial.run == ALL_OBJECTS and self.policy is not None
+            words += ["--policy", str(self.policy)] if use_policy else ["--run", str(self.run_dir(trial.run))]
+        if trial.method != "policy":
+            words += ["--baseline", trial.method]
+        if "--run" not in words:
+            words += ["--cfg", str(self.cfg)]
+        words += [*self.overrides, *trial.overrides]
+        arguments = _parse(test, words)
+        config = test._config(arguments)
+        choice = resolve(config)
+        if motion:
+            words += ["--motion", usual_set(choice)]
+            config = test._config(_parse(test, words))
+        command = shlex.join(["python", "test.py", *words])
+        file = self.results / f"{self._key(trial, config, choice)}.json"
+        if file.is_file():
+            try:
+                return json.loads(file.read_text(encoding="utf-8")), command
+            except ValueError:
+                self.say(f"{file} is damaged and is made again")
+        self.say(f"evaluating: {command}")
+        evaluation = test.evaluate_motion if motion else test.evaluate_choice
+        result, _, _ = evaluation(test._method(arguments), config, choice)
+        self.results.mkdir(parents=True, exist_ok=True)
+        write_atomic(file, json.dumps(result.as_dict(), allow_nan=False))
+        return result.as_dict(), command
+
+    def _key(self, trial: Trial, config: Config, choice: DataChoice) -> str:
+        """Names an evaluation by all that its figures depend on."""
+        weights = "" if trial.run is None else hashlib.sha256(self._policy_of(trial.run).read_bytes()).hexdigest()
+        used = config.model_dump(mode="json", exclude={"pool", "ppo", "checkpoint", "device", "name"})
+        text = json.dumps([trial.method, weights, used, choice.stamp()], sort_keys=True)
+        return hashlib.sha256(text.encode()).hexdigest()[:20]
+
+
+def needed(plans: Sequence[Plan]) -> list[Trained]:
+    """The trainings that tables take, each once, those that others build on first."""
+    found: dict[Trained, None] = {}
+    for plan in plans:
+        for line in plan.lines:
+            for trial in line.trials:
+                if trial.run is not None:
+                    if trial.run.policy is not None:
+                        found.setdefault(trial.run.policy)
+                    found.setdefault(trial.run)
+    return list(found)
+
+
+def _parse(command: Any, words: Sequence[str]) -> argparse.Namespace:
+    parser = argparse.ArgumentParser()
+    command.add_arguments(parser)
+    return parser.parse_intermixed_args(list(words))
+
+
+def _flat(config: Config) -> dict[str, Any]:
+    def walk(values: dict[str, Any], prefix: str) -> dict[str, Any]:
+        flat: dict[str, Any] = {}
+        for key, value in values.items():
+            flat |= walk(value, f"{prefix}{key}.") if isinstance(value, dict) else {f"{prefix}{key}": value}
+        return flat
+
+    return walk(config.model_dump(mode="json"), "")

@@ -1,0 +1,159 @@
+"""What each of the paper's tables takes: which runs have to be trained, what is evaluated, and the paper's numbers."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from dgrasp.eval.paper import MOTION_OBJECTS, paper_tables
+from dgrasp.labels.splits import UNSEEN
+from dgrasp.objects.names import YCB_NAMES
+
+GRASP_METRICS = ("success", "sim_dist_mm_per_step", "interpenetration_shell_cm3")
+ABLATION_METRICS = ("success", "sim_dist_mm_per_step", "contact_ratio")
+MOTION_METRICS = ("mpe_m", "geodesic_rad")
+ABLATION_OBJECTS = ("002_master_chef_can", "004_sugar_box", "052_extra_large_clamp")
+"""A cylinder, a box and a complex object (supplement, "Ablations")."""
+_ABLATIONS = {
+    "no_contact_reward": ("w/o ContactRew", ("env.reward.contact=0.0", "env.reward.impulse=0.0")),
+    "no_goal_space": ("w/o GoalSpace", ("env.goal_space=false",)),
+    "no_feature_layer": ("w/o FeatLayer", ("env.features=full_state",)),
+    "no_wrist_guidance": ("w/o WristGuidance", ("env.wrist=residual",)),
+    "ours": ("Ours", ()),
+}
+
+
+@dataclass(frozen=True)
+class Trained:
+    """A training run: its folder's name, and what it differs in from the recipe; cfg: another file than the recipe's.
+
+    policy: the run whose policy it is built on, given to it as `motion.policy`.
+    """
+
+    key: str
+    overrides: tuple[str, ...] = ()
+    cfg: str | None = None
+    policy: Trained | None = None
+
+
+@dataclass(frozen=True)
+class Trial:
+    """One evaluation. method: "gt_pd", "gt_ik", "policy", "static_grasp", "flat_rl" or "learned_motion"; run: what it
+    takes its policy from; overrides: which labels and objects."""
+
+    method: str
+    run: Trained | None
+    overrides: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Line:
+    """A row of a table: the labels of all its trials together, beside the paper's numbers (metric -> value)."""
+
+    group: str
+    name: str
+    trials: tuple[Trial, ...]
+    paper: Mapping[str, float]
+
+
+@dataclass(frozen=True)
+class Plan:
+    """A table of the paper."""
+
+    name: str
+    title: str
+    metrics: tuple[str, ...]
+    lines: tuple[Line, ...]
+
+
+ALL_OBJECTS = Trained("all_objects")
+
+
+def per_object(name: str) -> Trained:
+    """The policy of one object alone."""
+    return Trained(f"object_{name}", (f"labels.objects=[{name}]",))
+
+
+def _numbers(entry: Mapping[str, Any]) -> dict[str, float]:
+    named = {"success": "success", "interpenetration_cm3": "interpenetration_shell_cm3", "mpe": "mpe_m",
+             "geodesic_rad": "geodesic_rad", "contact_ratio": "contact_ratio"}  # fmt: skip
+    numbers = {ours: float(entry[theirs]) for theirs, ours in named.items() if theirs in entry}
+    if "sim_dist" in entry:
+        numbers["sim_dist_mm_per_step"] = float(entry["sim_dist"][0])
+    return numbers
+
+
+def _grasp() -> Plan:
+    lines = []
+    methods_of = {"dexycb": ("pd", "ik", "ours"), "grasptta": ("pd", "ours"), "contactopt": ("pd", "ours")}
+    for source, methods in methods_of.items():
+        for split, table in paper_tables()[source].items():
+            labels = (f"labels.source={source}", f"labels.split={split}")
+            made = {"pd": ("GT+PD", Trial("gt_pd", None, labels)), "ik": ("GT+IK", Trial("gt_ik", None, labels)),
+                    "ours": ("Ours", Trial("policy", ALL_OBJECTS, labels))}  # fmt: skip
+            for method in methods:
+                name, trial = made[method]
+                lines.append(Line(f"{source} {split}", name, (trial,), _numbers(table["average"][method])))
+    return Plan("grasp", "Grasps: stability and interpenetration", GRASP_METRICS, tuple(lines))
+
+
+def _motion() -> Plan:
+    paper, objects = paper_tables()["motion"], (f"labels.objects=[{', '.join(MOTION_OBJECTS)}]",)
+    flat = Trained("flat_rl", objects, "cfg/flat_rl.yaml")
+    learned = Trained("learned_motion", objects, "cfg/learned_motion.yaml", ALL_OBJECTS)
+    rows = (("flat_rl", "Flat-RL", Trial("flat_rl", flat, objects)),
+            ("static_grasp", "Ours+static grasp", Trial("static_grasp", ALL_OBJECTS, objects)),
+            ("learned_policy", "Ours+learned policy", Trial("learned_motion", learned, objects)),
+            ("ours", "Ours", Trial("policy", ALL_OBJECTS, objects)))  # fmt: skip
+    lines = tuple(Line("six objects", name, (trial,), _numbers(paper[key])) for key, name, trial in rows)
+    return Plan("motion", "Motion synthesis", MOTION_METRICS, lines)
+
+
+def _ablation() -> Plan:
+    lines = []
+    for key, (name, overrides) in _ABLATIONS.items():
+        trials = []
+        for item in ABLATION_OBJECTS:
+            base = per_object(item)
+            run = base if key == "ours" else Trained(f"{key}_{item}", base.overrides + overrides)
+            trials.append(Trial("policy", run, (*base.overrides, *overrides)))
+        lines.append(Line("three objects, train", name, tuple(trials), _numbers(paper_tables()["ablation"][key])))
+    return Plan("ablation", "Ablations: policies of one object each", ABLATION_METRICS, tuple(lines))
+
+
+def _unseen() -> Plan:
+    lines = []
+    for k in UNSEEN:
+        run = Trained(f"unseen_{k}", (f"labels.objects=[seen_{k}]",))
+        paper = paper_tables()["unseen_objects"][f"test_set_{k}"]["average"]
+        for key, name, method in (("pd", "GT+PD", "gt_pd"), ("ik", "GT+IK", "gt_ik"), ("ours", "Ours", "policy")):
+            # The paper counts all labels of the objects that were left out, of both splits.
+            which = [(f"labels.objects=[unseen_{k}]", f"labels.split={split}") for split in ("train", "test")]
+            trials = tuple(Trial(method, run if method == "policy" else None, labels) for labels in which)
+            lines.append(Line(f"test set {k}", name, trials, _numbers(paper[key])))
+    return Plan("unseen", "Unseen objects: six sets of three, left out in training", GRASP_METRICS, tuple(lines))
+
+
+def _scope() -> Plan:
+    lines = []
+    for split in ("train", "test"):
+        paper = paper_tables()["policy_scope"][split]
+        alone = tuple(
+            Trial("policy", per_object(name), (f"labels.objects=[{name}]", f"labels.split={split}"))
+            for name in paper_tables()["dexycb"]["train"]
+            if name in YCB_NAMES.values()
+        )
+        lines.append(Line(f"dexycb {split}", "Ours, a policy per object", alone, _numbers(paper["per_object"])))
+        together = (Trial("policy", ALL_OBJECTS, (f"labels.split={split}",)),)
+        lines.append(Line(f"dexycb {split}", "Ours, one for all objects", together, _numbers(paper["all_objects"])))
+    return Plan("scope", "One policy for all objects, or one each", GRASP_METRICS, tuple(lines))
+
+
+_PLANS = {"grasp": _grasp, "motion": _motion, "ablation": _ablation, "unseen": _unseen, "scope": _scope}
+NAMES = tuple(_PLANS)
+
+
+def plans(name: str) -> list[Plan]:
+    """The tables that a name of `NAMES`, or "all", means."""
+    return [make() for key, make in _PLANS.items() if name in (key, "all")]

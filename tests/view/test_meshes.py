@@ -1,0 +1,110 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from dgrasp.geometry.intersection import Body, body
+from dgrasp.hand.model import HandModel
+from dgrasp.hand.skeleton import N_PARTS
+from dgrasp.labels.distance import part_poses
+from dgrasp.types import Array
+from dgrasp.view.camera import eye, viewpoint
+from dgrasp.view.meshes import PART_FACES, Mesh, blendable, body_poses, hand_meshes, light, merged, table_tops
+from raisim_like.rotations import matrix_from_euler, matrix_from_quaternion
+from tests.export.sequences import STEPS, box, episode, meshes
+from tests.scenes import free_hand
+
+
+def ball(n: int) -> Mesh:
+    """A ball of radius 0.05 m with 4 n (n - 1) triangles."""
+    polar, turn = np.linspace(0.0, np.pi, n + 1), np.linspace(0.0, 2 * np.pi, 2 * n, endpoint=False)
+    ring = np.stack([np.cos(turn), np.sin(turn)], axis=1)
+    rows = [np.column_stack([np.sin(p) * ring, np.full(2 * n, np.cos(p))]) for p in polar[1:-1]]
+    vertices = 0.05 * np.concatenate([[[0.0, 0.0, 1.0]], *rows, [[0.0, 0.0, -1.0]]])
+    faces, last = [], len(vertices) - 1
+    for k in range(2 * n):
+        near = (k + 1) % (2 * n)
+        faces += [[0, 1 + k, 1 + near], [last, last - 2 * n + near, last - 2 * n + k]]
+        for row in range(n - 2):
+            a, b = 1 + row * 2 * n, 1 + (row + 1) * 2 * n
+            faces += [[a + k, b + k, b + near], [a + k, b + near, a + near]]
+    return Mesh(vertices, np.array(faces))
+
+
+def test_few_triangles_are_left_as_they_are() -> None:
+    given = box(0.1, 0.2, 0.3)
+    assert len(light(body([given]), 12).faces) == 12
+
+
+def test_many_triangles_become_few_of_nearly_the_same_shape() -> None:
+    full = ball(24)
+    assert len(full.faces) == 4 * 24 * 23
+    for given in (body([full]), Body(full.vertices, full.faces, None, 0)):
+        few = light(given, 500)
+        assert 100 < len(few.faces) <= 500
+        radius = np.linalg.norm(few.vertices, axis=1)
+        assert radius.min() > 0.045 and radius.max() < 0.0501
+        # Wound outwards still.
+        a, b, c = few.vertices[few.faces].transpose(1, 0, 2)
+        assert np.einsum("ij,ij->i", np.cross(a, b), c).sum() / 6 == pytest.approx(4 / 3 * np.pi * 0.05**3, rel=0.1)
+
+
+def test_merging_draws_near_vertices_to_their_mean() -> None:
+    mesh = Mesh(np.array([[0.1, 0.1, 0.1], [0.3, 0.1, 0.1], [1.5, 0.1, 0.1], [0.1, 1.5, 0.1]]),
+                np.array([[0, 2, 3], [1, 2, 3], [0, 1, 2]]))
+    out = merged(mesh, 1.0)
+    # The first two share a cube; the triangle with both is gone.
+    assert np.array(sorted(out.vertices.tolist())) == pytest.approx(
+        np.array([[0.1, 1.5, 0.1], [0.2, 0.1, 0.1], [1.5, 0.1, 0.1]])
+    )
+    assert len(out.faces) == 2
+
+
+@pytest.fixture(scope="module")
+def hand() -> HandModel:
+    return free_hand()
+
+
+def test_every_part_of_the_free_hand_has_a_light_mesh_in_its_frame(hand: HandModel) -> None:
+    parts = hand_meshes(hand)
+    assert len(parts) == N_PARTS and all(0 < len(part.faces) <= PART_FACES for part in parts)
+    # A finger part begins near its joint and is a few cm long.
+    for part in parts[1:]:
+        assert np.linalg.norm(part.vertices, axis=1).max() < 0.09
+        assert np.linalg.norm(part.vertices, axis=1).min() < 0.03
+
+
+def test_body_poses_are_the_parts_and_the_object() -> None:
+    record = episode()
+    q, t = body_poses(meshes(), record)
+    R, places = part_poses(meshes(), record.T_WH, record.gc[:, 6:])
+    assert t[:, :16] == pytest.approx(places) and t[:, 16] == pytest.approx(record.T_WO[:, :3, 3])
+    assert matrix_from_quaternion(q[:, :16]) == pytest.approx(R, abs=1e-9)
+    assert matrix_from_quaternion(q[:, 16]) == pytest.approx(record.T_WO[:, :3, :3], abs=1e-9)
+
+
+def test_quaternions_follow_each_other_past_half_a_turn() -> None:
+    R: Array = np.stack([matrix_from_euler(np.array([0.0, 0.0, angle])) for angle in np.arange(0.0, 12.0, 0.5)])
+    q = blendable(R[:, None])[:, 0]
+    # Neighbours are half a radian apart, so their quaternions have the cosine of a quarter.
+    assert (q[1:] * q[:-1]).sum(axis=1) == pytest.approx(np.cos(0.25))
+
+
+def test_broken_steps_repeat_the_last_whole_one() -> None:
+    record = episode()
+    record.T_WH = record.T_WH.copy()
+    record.T_WH[5:, 0, 3] = np.nan
+    q, t = body_poses(meshes(), record)
+    assert np.isfinite(t).all() and np.array_equal(t[7], t[4]) and np.array_equal(q[6], q[4])
+
+
+def test_the_table_and_the_camera() -> None:
+    record = episode()
+    assert table_tops(record, 0.5, 0.25).tolist() == [0.5] * 3 + [0.25] * (STEPS - 3)
+    target, yaw = viewpoint(record)
+    # At step 2: 0.65 of the object (0.5, 0, 0.58), 0.35 of the wrist (0.5, 0.1, 0.7), and 5 cm lower.
+    assert target == pytest.approx([0.5, 0.035, 0.65 * 0.58 + 0.35 * 0.7 - 0.05])
+    assert np.linalg.norm(eye(target, yaw) - target) == pytest.approx(0.7)
+    # The palm faces -y of the wrist; the camera is on its side.
+    palm = -record.T_WH[2, :2, 1]
+    assert np.array([np.cos(yaw), np.sin(yaw)]) @ palm > 0.0
