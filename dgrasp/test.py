@@ -65,8 +65,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     what = parser.add_mutually_exclusive_group()
     what.add_argument("--run", type=Path, metavar="DIR", help="the last checkpoint of a training run")
     what.add_argument("--policy", type=Path, metavar="FILE.pt", help="a checkpoint: ours, or one of the authors'")
-    parser.add_argument("--table", choices=(*NAMES, "all"), help="a table of the paper: evaluate what is there, say how "
-                        "to train the rest")
+    parser.add_argument("--table", choices=(*NAMES, "all"), help="a table of the paper: evaluate what is there, say "
+                        "how to train the rest")
     parser.add_argument("--budget", type=float, metavar="MINUTES", help="with --table: train what is missing, so long")
     parser.add_argument("--runs", type=Path, default=Path("runs/tables"), metavar="DIR",
                         help="with --table: where its runs and results are (default: runs/tables)")
