@@ -9,12 +9,13 @@ from typing import Protocol
 from dgrasp.config import Config
 from dgrasp.control.motion import Fingers
 from dgrasp.env.features import FeatureLayer
-from dgrasp.env.grasp_env import Mode
+from dgrasp.env.grasp_env import Mode, StepArrays
 from dgrasp.env.rewards import Reward
 from dgrasp.errors import DGraspError
 from dgrasp.hand.model import HandModel
 from dgrasp.hand.skeleton import N_DOF
 from dgrasp.objects.model import ObjectModel
+from dgrasp.rl.collect import Incident
 from dgrasp.rl.vec_env import Step, VecEnv
 from dgrasp.types import Array, GraspLabel, SceneState
 
@@ -49,6 +50,21 @@ class SizedPool:
         layer = FeatureLayer(spec.config.env)
         self.observation_size, self.actor_size = layer.size, layer.actor_size
         self.reward_terms = Reward(spec.config.env.reward).names
+        self._events: list[str] = []
+        self._incidents: list[Incident] = []
+
+    def drain_events(self) -> list[str]:
+        events, self._events = self._events, []
+        return events
+
+    def drain_incidents(self) -> list[Incident]:
+        incidents, self._incidents = self._incidents, []
+        return incidents
+
+
+def as_step(o: StepArrays) -> Step:
+    """What a step wrote, for the learner; views, no copies."""
+    return Step(o.observation, o.reward, o.terminated, o.truncated, o.final_observation, o.reward_terms, o.broken)
 
 
 class Pool(VecEnv, Protocol):

@@ -28,9 +28,9 @@ import numpy as np
 from dgrasp.control.motion import Fingers
 from dgrasp.env.grasp_env import Mode
 from dgrasp.pool.balance import costs, imbalance, stretches
-from dgrasp.pool.base import PoolError, PoolSpec, SizedPool, WorkerLost
+from dgrasp.pool.base import PoolError, PoolSpec, SizedPool, WorkerLost, as_step
 from dgrasp.pool.worker import FAILED, QUIT, STEP, Layout, Shared, Told, shared_arrays, work
-from dgrasp.rl.collect import Actor, Incident, Trajectories
+from dgrasp.rl.collect import Actor, Trajectories
 from dgrasp.rl.vec_env import Step
 from dgrasp.types import Array
 
@@ -81,8 +81,6 @@ class ProcessPool(SizedPool):
         self._collected: SharedMemory | None = None
         self._layout: Layout = {}
         self._members: list[_Member] = []
-        self._events: list[str] = []
-        self._incidents: list[Incident] = []
         self._lost = 0
         self._start = time.perf_counter()
         self._rows = [slice(w, self.num_envs, self._workers) for w in range(self._workers)]
@@ -203,12 +201,7 @@ class ProcessPool(SizedPool):
 
     def drain_events(self) -> list[str]:
         self._listen()
-        events, self._events = self._events, []
-        return events
-
-    def drain_incidents(self) -> list[Incident]:
-        incidents, self._incidents = self._incidents, []
-        return incidents
+        return super().drain_events()
 
     # Steps and phases of a test ----------------------------------------------------------------
 
@@ -220,8 +213,7 @@ class ProcessPool(SizedPool):
     def step(self, actions: Array) -> Step:
         self._shared.actions[:] = actions
         self._command(STEP)
-        o = self._shared.out
-        return Step(o.observation, o.reward, o.terminated, o.truncated, o.final_observation, o.reward_terms, o.broken)
+        return as_step(self._shared.out)
 
     def remove_table(self) -> None:
         self._command(pickle.dumps(("remove_table",)))

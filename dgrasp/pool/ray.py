@@ -20,10 +20,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from dgrasp.control.motion import Fingers
-from dgrasp.env.grasp_env import GraspEnv, Mode, StepArrays
-from dgrasp.env.state import STATE_SIZE, copy_state, state_views
+from dgrasp.env.grasp_env import GraspEnv, Mode
+from dgrasp.env.state import STATE_SIZE, StepArrays, copy_state, state_views
 from dgrasp.errors import ConfigError
-from dgrasp.pool.base import PoolError, PoolSpec, SizedPool, WorkerLost
+from dgrasp.pool.base import PoolError, PoolSpec, SizedPool, WorkerLost, as_step
 from dgrasp.pool.worker import Told
 from dgrasp.rl.collect import Actor, Incident, Trajectories, collect
 from dgrasp.rl.vec_env import Step
@@ -116,8 +116,6 @@ class RayPool(SizedPool):
         self.state = state_views(self.num_envs)
         self._out = StepArrays.allocate(self.num_envs, self.observation_size, len(self.reward_terms))
         self._trajectories: Trajectories | None = None
-        self._events: list[str] = []
-        self._incidents: list[Incident] = []
         self._lost, self._losses = 0, [0] * self._workers
         self._late: dict[int, Any] = {}
         """Actors that are still busy with an epoch that went on without them, and what they will answer."""
@@ -244,14 +242,6 @@ class RayPool(SizedPool):
         return {"physics_share": share, "physics_s": physics, "wall_s": wall, "workers": float(self._workers),
                 "lost_workers": float(self._lost)}  # fmt: skip
 
-    def drain_events(self) -> list[str]:
-        events, self._events = self._events, []
-        return events
-
-    def drain_incidents(self) -> list[Incident]:
-        incidents, self._incidents = self._incidents, []
-        return incidents
-
     # Steps and phases of a test ----------------------------------------------------------------
 
     def reset(self, epoch: int = 0, mode: Mode = "train") -> Array:
@@ -263,8 +253,7 @@ class RayPool(SizedPool):
 
     def step(self, actions: Array) -> Step:
         self._see(lambda w: self._actors[w].step.remote(actions[self._rows[w]]))
-        o = self._out
-        return Step(o.observation, o.reward, o.terminated, o.truncated, o.final_observation, o.reward_terms, o.broken)
+        return as_step(self._out)
 
     def remove_table(self) -> None:
         self._all(lambda w: self._actors[w].remove_table.remote())

@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 from dgrasp.control.motion import Fingers
 from dgrasp.env.grasp_env import GraspEnv, Mode
-from dgrasp.pool.base import PoolSpec
+from dgrasp.pool.base import PoolSpec, as_step
 from dgrasp.rl.collect import Actor, Incident, Trajectories, collect
 from dgrasp.rl.vec_env import Step
 from dgrasp.types import Array
@@ -32,8 +32,7 @@ class SerialPool:
         return self.env.reset(epoch, mode)
 
     def step(self, actions: Array) -> Step:
-        o = self.env.step(actions)
-        return Step(o.observation, o.reward, o.terminated, o.truncated, o.final_observation, o.reward_terms, o.broken)
+        return as_step(self.env.step(actions))
 
     def collect(self, actor: Actor, epoch: int, steps: int, advance: Callable[[int], None]) -> Trajectories:
         if self._trajectories is None or len(self._trajectories.reward) != steps:

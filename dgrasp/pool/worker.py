@@ -13,8 +13,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from dgrasp.control.motion import Fingers
-from dgrasp.env.grasp_env import GraspEnv, Mode, StepArrays
-from dgrasp.env.state import STATE_SIZE, copy_state, state_views
+from dgrasp.env.grasp_env import GraspEnv, Mode
+from dgrasp.env.state import STATE_SIZE, StepArrays, copy_state, state_views
 from dgrasp.hand.skeleton import N_DOF
 from dgrasp.pool.base import PoolSpec
 from dgrasp.rl.collect import Actor, Incident, Trajectories, collect
