@@ -80,7 +80,11 @@ class ActionConfig(_Section):
 
 
 class RewardConfig(_Section):
-    """Weights of the reward terms (paper, section 3.2.2 and Table of weights; docs/deviations.md)."""
+    """Weights of the reward terms (paper, section 3.2.2 and Table of weights; docs/deviations.md).
+
+    target_position, target_rotation: alpha_x per m and alpha_q per rad of the distance to the target (supplement,
+    equation of r_m and Table of weights); of the tasks motion and flat alone. Task motion has no other terms.
+    """
 
     position: float = 2.0
     pose: float = 0.1
@@ -95,6 +99,8 @@ class RewardConfig(_Section):
     position_floor: float = -10.0
     impulse_per_mass: Positive = 5.0
     hold: float = 0.0
+    target_position: float = -2.0
+    target_rotation: float = -0.25
     clip: float | None = None
 
 
@@ -111,12 +117,15 @@ class HoldConfig(_Section):
 
 
 class EnvConfig(_Section):
-    """The grasping task: episode, components that the paper ablates, reward.
+    """The task: episode, components that the paper ablates, reward.
 
+    task: "grasp"; or with a target for the object, a policy of the wrist while a frozen one grasps ("motion"), or one
+    policy of everything ("flat"): the paper's baselines "learned policy" and "Flat-RL" (docs/motion.md).
     scaled_features: bring every feature to order 1 and clamp it. critic_features: the critic also sees how far
     the episode is and whether the table is gone; the actor does not.
     """
 
+    task: Literal["grasp", "motion", "flat"] = "grasp"
     episode_steps: Count = 195
     grasp_steps: Count = 60
     features: Literal["phi", "full_state"] = "phi"
@@ -138,6 +147,9 @@ class MotionConfig(_Section):
     steps of the motion. beta_position, beta_rotation: the gain beta, reached after ramp_position and ramp_rotation
     control steps in equal steps. stable_alone: leave out grasps that fail the stability test, as the paper does.
     static_fingers: what the baseline "static grasp" holds, the fingers' last PD targets or their pose.
+
+    policy: of the tasks motion and flat, the checkpoint of the grasping policy that makes, or chooses, the grasps.
+    sigma_position, sigma_rotation: m and rad that an action of 1 moves the wrist's target in those tasks.
     """
 
     targets: str | None = None
@@ -149,6 +161,9 @@ class MotionConfig(_Section):
     ramp_rotation: Count = 2000
     stable_alone: bool = True
     static_fingers: Literal["target", "pose"] = "target"
+    policy: str | None = None
+    sigma_position: Positive = 0.01
+    sigma_rotation: Positive = 0.01
 
 
 class PpoConfig(_Section):
@@ -251,6 +266,11 @@ class Config(_Section):
         """Seconds per control step."""
         return self.physics.timestep * self.physics.substeps
 
+    @property
+    def learned_steps(self) -> int:
+        """Control steps of an episode that the learner sees: in task motion those after the grasp."""
+        return self.env.episode_steps - (self.env.grasp_steps if self.env.task == "motion" else 0)
+
     @model_validator(mode="after")
     def _consistent(self) -> Config:
         if self.env.grasp_steps >= self.env.episode_steps:
@@ -258,6 +278,8 @@ class Config(_Section):
         hold = self.env.hold
         if hold.first_step is not None and not hold.first_step <= hold.last_step < self.env.episode_steps:
             raise ValueError("env.hold: expected first_step <= last_step < env.episode_steps")
+        if hold.first_step is not None and self.env.task != "grasp":
+            raise ValueError(f"env.hold.first_step: the table stays in task {self.env.task}; expected null")
         if self.physics.concave == "mesh" and self.engine == "mujoco":
             raise ValueError("physics.concave: mujoco collides no concave meshes; expected auto or parts, or the "
                              "engine pybullet")

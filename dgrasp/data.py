@@ -74,7 +74,8 @@ class DataChoice:
         which = f"{self.source} {self.split}" if self.source != "file" else "a file's"
         line = (f"data {self.kind} ({self.root}): hand {self.hand}, {which} labels ({self.labels.source.name}), "
                 f"{len(self.labels.labels)} of {len(self.labels.objects)} objects; licence: {self.licence}")
-        return "; ".join([line, *self.notes])
+        added = [f"{len(self.added)} of them added: {', '.join(self.added)}"] if self.added else []
+        return "; ".join([line, *added, *self.notes])
 
 
 def resolve(config: Config) -> DataChoice:

@@ -1,4 +1,4 @@
-"""Feature layers: what the policy sees of a state and a goal (paper, section 3.2.1; supplement, A.1).
+"""Feature layers: what the policy sees of a state and a goal (paper, section 3.2.1; supplement, A.1 and A.2).
 
 Every layer is a list of `Feature`s; sizes, slices and the table in docs/features.md come from it.
 """
@@ -12,7 +12,7 @@ import numpy as np
 
 from dgrasp.config import EnvConfig
 from dgrasp.types import Array, GraspGoal, SceneState
-from raisim_like.rotations import euler_from_matrix, rotate, rotate_back
+from raisim_like.rotations import euler_from_matrix, matrix_from_euler, rotate, rotate_back, rotation_vector
 
 
 @dataclass
@@ -112,6 +112,20 @@ FULL_STATE: tuple[Feature, ...] = (
 )
 """The state and the label without the feature layer (the paper's ablation "w/o FeatLayer")."""
 
+PSI: tuple[Feature, ...] = (
+    Feature("wrist_position_W", 3, "W", "m", lambda s, g, r: s.joints_W[:, 0], scale=5.0),
+    Feature("wrist_euler_W", 3, "W", "rad", lambda s, g, r: euler_from_matrix(s.R_WH), scale=0.5),
+    Feature("wrist_linvel_W", 3, "W", "m/s", lambda s, g, r: rotate(s.R_WH0, s.gv[:, :3]), scale=2.0),
+    Feature("wrist_angvel_W", 3, "W", "rad/s", lambda s, g, r: wrist_angvel_W(s), scale=0.2),
+    Feature("object_position_W", 3, "W", "m", lambda s, g, r: s.object_pos_W, scale=5.0),
+    Feature("object_euler_W", 3, "W", "rad", lambda s, g, r: euler_from_matrix(s.R_WO), scale=0.5),
+    Feature("object_linvel_W", 3, "W", "m/s", lambda s, g, r: s.object_linvel_W, scale=2.0),
+    Feature("object_angvel_W", 3, "W", "rad/s", lambda s, g, r: s.object_angvel_W, scale=0.2),
+    Feature("target_offset_W", 3, "W", "m", lambda s, g, r: s.object_pos_W - s.target_pos_W, scale=5.0),
+    Feature("target_turn_W", 3, "W", "rad (rotation vector)", lambda s, g, r: target_turn_W(s), scale=2.0),
+)
+"""psi: T_h, its rates, T_o, its rates, g_o,x and g_o,q (supplement, A.2), of which a policy makes a motion."""
+
 FEATURE_LAYERS = {"phi": PHI, "full_state": FULL_STATE}
 
 CRITIC: tuple[Feature, ...] = (
@@ -125,10 +139,13 @@ SCALED_RANGE = 5.0
 
 
 class FeatureLayer:
-    """A list of features as one observation (N, size) float32; the actor sees the first `actor_size` numbers."""
+    """The features of a task as one observation (N, size) float32; the actor sees the first `actor_size` numbers."""
 
     def __init__(self, config: EnvConfig) -> None:
-        chosen = tuple(f for f in FEATURE_LAYERS[config.features] if config.goal_space or not f.is_goal)
+        grasp = tuple(f for f in FEATURE_LAYERS[config.features] if config.goal_space or not f.is_goal)
+        seen = {feature.name for feature in grasp}
+        both = grasp + tuple(feature for feature in PSI if feature.name not in seen)
+        chosen = {"grasp": grasp, "motion": PSI, "flat": both}[config.task]
         self.features = chosen + (CRITIC if config.critic_features else ())
         self.slices: dict[str, slice] = {}
         start = 0
@@ -149,6 +166,23 @@ class FeatureLayer:
             np.clip(out, -SCALED_RANGE, SCALED_RANGE, out=out)
 
 
+def target_turn_W(state: SceneState) -> Array:
+    """(N, 3) rad: the rotation vector that turns the object's target to where the object is (g_o,q)."""
+    return rotation_vector(np.matmul(state.R_WO, np.swapaxes(state.R_WG, 1, 2)))
+
+
+def wrist_angvel_W(state: SceneState) -> Array:
+    """(N, 3) rad/s: the wrist's angular velocity, from the rates of its intrinsic XYZ Euler angles."""
+    angles, rates = state.gc[:, 3:6], state.gv[:, 3:6]
+    zero = np.zeros(len(angles))
+    R_X = matrix_from_euler(np.stack([angles[:, 0], zero, zero], axis=1))
+    R_XY = matrix_from_euler(np.stack([angles[:, 0], angles[:, 1], zero], axis=1))
+    # Each joint turns about its own axis, as the joints before it have turned that.
+    omega_H0 = R_X[:, :, 1] * rates[:, 1:2] + R_XY[:, :, 2] * rates[:, 2:3]
+    omega_H0[:, 0] += rates[:, 0]
+    return rotate(state.R_WH0, omega_H0)
+
+
 def goal_wrist_position_W(state: SceneState, goal: GraspGoal) -> Array:
     """(N, 3): where the label's wrist would be, given where the object is now."""
     return state.object_pos_W + rotate(state.R_WO, goal.joints_O[:, 0])
@@ -165,10 +199,12 @@ def features_page() -> str:
         "With `env.scaled_features=true` a block is multiplied by its scale (wrist and the rest apart, where there are",
         f"two) and clamped to +-{SCALED_RANGE:g}. With `env.critic_features=true` the critic's observation ends with",
         f"{', '.join(f'*{feature.name}*' for feature in CRITIC)}, which the actor does not see.",
+        "With `env.task=flat` the numbers of `env.features` are followed by those of `env.task=motion`.",
     ]
-    for name in FEATURE_LAYERS:
-        layer = FeatureLayer(EnvConfig.model_validate({"features": name}))
-        lines += ["", f"## `env.features={name}`: {layer.size} numbers", ""]
+    choices = [("features", name) for name in FEATURE_LAYERS] + [("task", "motion")]
+    for key, name in choices:
+        layer = FeatureLayer(EnvConfig.model_validate({key: name}))
+        lines += ["", f"## `env.{key}={name}`: {layer.size} numbers", ""]
         lines += ["| numbers | name | frame | unit | scale | |", "|---|---|---|---|---|---|"]
         for feature in layer.features:
             part = layer.slices[feature.name]

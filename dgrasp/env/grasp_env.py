@@ -11,13 +11,13 @@ import numpy as np
 from dgrasp.config import Config
 from dgrasp.control.controllers import GRASP_CONTROLLERS, Controller, LabelPose, WristHold
 from dgrasp.control.motion import Fingers, MotionSynthesis
-from dgrasp.env.features import FeatureLayer, relations
+from dgrasp.env.features import FeatureLayer, Relations, relations
 from dgrasp.env.goal import make_goal
 from dgrasp.env.rewards import Reward
 from dgrasp.env.start import start_pose
-from dgrasp.env.state import state_views
+from dgrasp.env.state import StepArrays, state_views
 from dgrasp.hand.model import HandModel
-from dgrasp.hand.skeleton import N_DOF
+from dgrasp.hand.skeleton import ACTION_SIZES, N_DOF
 from dgrasp.objects.model import ObjectModel
 from dgrasp.scene.scene import LOWERED_TOP, TABLE_TOP, Scene
 from dgrasp.types import Array, GraspLabel, StartPose
@@ -32,32 +32,6 @@ MAX_SPEED, MAX_SPIN = 50.0, 1000.0
 """m/s and rad/s of the object, beyond which the simulation has exploded."""
 GOLDEN = 0.6180339887498949
 """Steps of this share of a circle visit all of it evenly."""
-
-
-@dataclass
-class StepArrays:
-    """What a step writes, one row per environment; the pool may lay these over shared memory."""
-
-    observation: Array
-    final_observation: Array
-    reward: Array
-    reward_terms: Array
-    terminated: Array
-    truncated: Array
-    broken: Array
-
-    @classmethod
-    def allocate(cls, n: int, observation_size: int, n_terms: int) -> StepArrays:
-        """Fresh arrays: float32, and bool for the ends."""
-        return cls(
-            np.zeros((n, observation_size), np.float32),
-            np.zeros((n, observation_size), np.float32),
-            np.zeros(n, np.float32),
-            np.zeros((n, n_terms), np.float32),
-            np.zeros(n, bool),
-            np.zeros(n, bool),
-            np.zeros(n, bool),
-        )
 
 
 @dataclass
@@ -80,10 +54,11 @@ class GraspEnv:
     def __post_init__(self) -> None:
         n = len(self.labels)
         env = self.config.env
-        self.num_envs, self.action_size = n, N_DOF
+        self.num_envs = n
+        self.action_size = ACTION_SIZES[env.task]
         self.layer = FeatureLayer(env)
         self.observation_size = self.layer.size
-        self.reward = Reward(env.reward)
+        self.reward = Reward(env.reward, env.task)
         self.reward_terms = self.reward.names
         self.indices, self.total = self.indices or range(n), self.total or n
         self.s = state_views(n)
@@ -97,7 +72,7 @@ class GraspEnv:
         self._limits = self.hand.limits.T.copy()
         self._rng: list[np.random.Generator] = []
         self.mode: Mode = "train"
-        self.control: Controller = GRASP_CONTROLLERS[env.wrist](env.action)
+        self.control = self._start_control()
         self.hold = WristHold(env.action, self.s)
         self.alive = np.ones(n, bool)
         self.active = np.ones(n, bool)
@@ -110,6 +85,11 @@ class GraspEnv:
         self.steps_made = np.zeros(n, int)
         """Control steps of each environment since it was made."""
         self._retired_seconds = np.zeros(n)
+
+    def _start_control(self) -> Controller:
+        """The controller that an episode begins with."""
+        env = self.config.env
+        return LabelPose(env.action) if self.mode == "label" else GRASP_CONTROLLERS[env.wrist](env.action)
 
     def _new_scene(self, i: int) -> Scene:
         model = self.objects[self.labels[i].object_id]
@@ -134,10 +114,9 @@ class GraspEnv:
 
     def reset(self, epoch: int = 0, mode: Mode = "train") -> Array:
         """Start all episodes; the noise depends on (config.seed, epoch, environment). Returns (N, O)."""
-        env = self.config.env
         self.mode = mode
         self._rng = [np.random.default_rng([self.config.seed, epoch, index]) for index in self.indices]
-        self.control = LabelPose(env.action) if mode == "label" else GRASP_CONTROLLERS[env.wrist](env.action)
+        self.control = self._start_control()
         for i in range(self.num_envs):
             if not self.alive[i]:
                 self._rebuild(i)
@@ -211,19 +190,9 @@ class GraspEnv:
     # Step --------------------------------------------------------------------------------------
 
     def step(self, actions: Array) -> StepArrays:
-        """One control step with residual actions (N, 51)."""
-        training_hold = self.mode == "train" and self.config.env.hold.first_step is not None
-        if training_hold:
-            self._begin_holds()
+        """One control step with residual actions (N, A)."""
         self._aim()
-        self.control.bias(self.s, self.goal, self._target)
-        if training_hold:
-            held = self.s.table_gone > 0
-            self.hold.bias(self.s, self.goal, self._hold_target)
-            self._target[held] = self._hold_target[held]
-            self._target += np.where(held[:, None], self.hold.sigma, self.control.sigma) * actions
-        else:
-            self._target += self.control.sigma * actions
+        self._aim_joints(actions)
         np.clip(self._target, self._limits[0], self._limits[1], out=self._target)
         self._advance()
         self.clock += self.alive & self.active
@@ -234,10 +203,10 @@ class GraspEnv:
         self._derive(slice(None))
         np.divide(self.clock, self.config.env.episode_steps, out=self.s.episode_time)
         dropped = (self.s.table_gone > 0) & (self.s.object_pos_W[:, 2] < self._drop_height)
-        if training_hold:
+        if self._training_hold:
             np.multiply(self.s.table_gone, ~dropped, out=self.s.holding)
         r = relations(self.s, self.goal)
-        self.reward(self.s, self.goal, r, self.o.reward_terms, self.o.reward)
+        self._pay(r)
         self.layer(self.s, self.goal, r, self.o.observation)
         # A broken episode ends with nothing gained, and is already placed anew.
         self.o.reward[broken], self.o.reward_terms[broken] = 0.0, 0.0
@@ -245,13 +214,34 @@ class GraspEnv:
         self.o.broken[:] = self.o.terminated[:] = broken
         self.o.truncated[:] = False
         if self.mode == "train":
-            fallen = training_hold & dropped & self.active & ~broken
+            fallen = self._training_hold & dropped & self.active & ~broken
             self.o.terminated |= fallen
             self.o.truncated[:] = ~self.o.terminated & (self.clock >= self.config.env.episode_steps) & self.active
             ended = fallen | self.o.truncated
             if ended.any():
                 self._restart(np.flatnonzero(ended))
         return self.o
+
+    def _aim_joints(self, actions: Array) -> None:
+        """Write the PD targets of this step: the controller's bias and the residual actions."""
+        if self._training_hold:
+            self._begin_holds()
+        self.control.bias(self.s, self.goal, self._target)
+        sigma = self.control.sigma
+        if self._training_hold:
+            held = self.s.table_gone > 0
+            self.hold.bias(self.s, self.goal, self._hold_target)
+            self._target[held] = self._hold_target[held]
+            sigma = np.where(held[:, None], self.hold.sigma, sigma)
+        self._target += sigma * actions
+
+    def _pay(self, r: Relations) -> None:
+        """Write the reward of this step."""
+        self.reward(self.s, self.goal, r, self.o.reward_terms, self.o.reward)
+
+    @property
+    def _training_hold(self) -> bool:
+        return self.mode == "train" and self.config.env.hold.first_step is not None
 
     def _begin_holds(self) -> None:
         """Take the table away where it is time to, and hold the wrist there."""
@@ -285,6 +275,12 @@ class GraspEnv:
         """
         self._path, self._path_step = path, 0
         self.s.R_WG[:], self.s.target_pos_W[:] = path[:, 0, :3, :3], path[:, 0, :3, 3]
+        self._begin_motion_control(fingers)
+        # Who chose the action of the next step must have seen its target.
+        self._observe(self.o.observation)
+
+    def _begin_motion_control(self, fingers: Fingers) -> None:
+        """Give the wrist to motion synthesis."""
         held = None
         if fingers != "policy":
             held = np.clip(self._target if fingers == "target" else self.s.gc, *self._limits)[:, 6:]

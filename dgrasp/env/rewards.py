@@ -1,4 +1,5 @@
-"""The grasping reward as a sum of named terms (paper, section 3.2.2; docs/deviations.md for the differences)."""
+"""The reward as a sum of named terms: of grasping (paper, section 3.2.2; docs/deviations.md for the differences), and
+of the way to a target (supplement, A.2)."""
 
 from __future__ import annotations
 
@@ -7,7 +8,7 @@ from collections.abc import Callable
 import numpy as np
 
 from dgrasp.config import RewardConfig
-from dgrasp.env.features import Relations
+from dgrasp.env.features import Relations, target_turn_W
 from dgrasp.hand.skeleton import N_KEYPOINTS, TIPS
 from dgrasp.types import Array, GraspGoal, SceneState
 
@@ -70,6 +71,16 @@ def hold_reward(s: SceneState, g: GraspGoal, r: Relations, c: RewardConfig) -> A
     return s.holding
 
 
+def target_position_error(s: SceneState, g: GraspGoal, r: Relations, c: RewardConfig) -> Array:
+    """r_m,x: distance from the object to its target (supplement, A.2), m."""
+    return np.sqrt(np.sum((s.object_pos_W - s.target_pos_W) ** 2, axis=1))
+
+
+def target_rotation_error(s: SceneState, g: GraspGoal, r: Relations, c: RewardConfig) -> Array:
+    """r_m,q: geodesic distance from the object's orientation to its target's (supplement, A.2), rad."""
+    return np.sqrt(np.sum(target_turn_W(s) ** 2, axis=1))
+
+
 TERMS: dict[str, Term] = {
     "position": position_reward,
     "pose": pose_reward,
@@ -80,16 +91,23 @@ TERMS: dict[str, Term] = {
     "wrist_linear_velocity": wrist_linvel_penalty,
     "wrist_angular_velocity": wrist_angvel_penalty,
     "hold": hold_reward,
+    "target_position": target_position_error,
+    "target_rotation": target_rotation_error,
 }
 """Every term, by the name of its weight in `RewardConfig`."""
 
 
-class Reward:
-    """Weighs, sums and reports the terms whose weight is not zero."""
+MOTION_TERMS = ("target_position", "target_rotation")
+"""r_m: all that the task "motion" is paid for, and what "flat" is paid for beside grasping."""
 
-    def __init__(self, config: RewardConfig) -> None:
+
+class Reward:
+    """Weighs, sums and reports the terms of a task (`env.task`) whose weight is not zero."""
+
+    def __init__(self, config: RewardConfig, task: str = "grasp") -> None:
         self.config = config
-        self.names = tuple(name for name in TERMS if getattr(config, name) != 0.0)
+        of_task = [n for n in TERMS if task == "flat" or (n in MOTION_TERMS) == (task == "motion")]
+        self.names = tuple(name for name in of_task if getattr(config, name) != 0.0)
         self._weights = np.array([getattr(config, name) for name in self.names])
 
     def __call__(self, state: SceneState, goal: GraspGoal, r: Relations, terms: Array, total: Array) -> None:

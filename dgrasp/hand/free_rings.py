@@ -65,7 +65,6 @@ _THUMB_CORNERS = ((12, 2), (12, 1), (12, 0), (11, 0))
 _THUMB_PHASE = 75.0
 """Degrees around the thumb of the patch's corner at the back and nearest to the wrist."""
 _ROUNDS = 150
-HOOP_PULL = 0.1
 
 Quad = tuple[int, int, int, int]
 
@@ -135,7 +134,6 @@ class _Builder:
         self.quads: list[Quad] = []
         self.triangles: list[tuple[int, int, int]] = []
         self.tips: dict[str, int] = {}
-        self.hoops: set[tuple[int, int]] = set()
 
     def palm(self) -> dict[tuple[int, int, int], int]:
         """The palm's tube; the number of each vertex by level, column (0 is the little finger's side) and row (0 is the
@@ -186,7 +184,6 @@ class _Builder:
         for k in range(_THUMB_ROOTS):
             share = (k + 1) / (_THUMB_ROOTS + 1)
             ring = self._join(ring, self._add((1.0 - share) * start + share * end, np.eye(5)[4], free=True))
-            self.hoops |= {(min(pair), max(pair)) for pair in zip(ring, ring[1:] + ring[:1], strict=True)}
         self._tube(ring, "thumb", THUMB_RINGS, angles, *_halves_of("thumb"))
 
     def _tube(
@@ -252,18 +249,18 @@ def _drawn(builder: _Builder) -> Array:
     corners = [*builder.quads, *builder.triangles]
     pairs = np.concatenate([np.stack([face, np.roll(face, -1)], axis=1) for face in corners])
     edges = np.unique(np.sort(pairs, axis=1), axis=0)
-    # Around the thumb's root pulls less than along it: a hoop on a cone would slip to its narrow end.
-    pull = np.where([tuple(edge) in builder.hoops for edge in edges.tolist()], HOOP_PULL, 1.0)[:, None]
-    degree = np.zeros((len(points), 1))
-    np.add.at(degree, edges.T, pull)
     moves = np.ones((len(free), 3))
     moves[points[free, 0] == CUT, 0] = 0.0
     bodies = palm_flesh()
     for _ in range(_ROUNDS):
-        total = np.zeros_like(points)
-        np.add.at(total, edges[:, 0], pull * points[edges[:, 1]])
-        np.add.at(total, edges[:, 1], pull * points[edges[:, 0]])
-        step = (total / degree - points)[free] * moves
+        # Long edges pull more than short ones, or the rings would slip to the narrow end of a cone.
+        span = points[edges[:, 1]] - points[edges[:, 0]]
+        pull = np.linalg.norm(span, axis=1, keepdims=True)
+        total, weight = np.zeros_like(points), np.zeros((len(points), 1))
+        for end, sign in ((0, 1.0), (1, -1.0)):
+            np.add.at(total, edges[:, end], sign * pull * span)
+            np.add.at(weight, edges[:, end], pull)
+        step = (total / weight)[free] * moves
         normal = field(points[free], bodies)[1] * moves
         normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-9)
         step -= normal * (step * normal).sum(axis=1, keepdims=True)

@@ -28,9 +28,13 @@ DOF_NAMES = (
 """The 51 generalised coordinates: 3 translations, then intrinsic XYZ Euler angles of wrist and joints."""
 
 N_DOF = len(DOF_NAMES)
+N_WRIST_DOF = 6
 N_FINGER_DOF = N_DOF - 6
 N_PARTS = len(PARTS)
 N_KEYPOINTS = len(KEYPOINTS)
+
+ACTION_SIZES = {"grasp": N_DOF, "motion": N_WRIST_DOF, "flat": N_DOF}
+"""How many numbers the policy of an `env.task` has to say: all joints, or the wrist alone."""
 
 THUMB_TIP_PART = PARTS.index("thumb_distal")
 

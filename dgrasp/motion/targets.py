@@ -22,7 +22,8 @@ OOD_XY, OOD_Z = 0.4, (0.15, 0.5)
 """m. Displacements of the own set, which leave out those of the authors' set: 0.2 sideways and 0.3 up at most."""
 OOD_ANGLE = (0.95, 1.5)
 """rad, about any axis; the authors' rotations reach 0.93."""
-_EASY_XY, _EASY_Z = 0.2, 0.3
+_EASY_XY, _EASY_Z, _EASY_ANGLE = 0.2, 0.3, 0.5
+"""m, m, and rad of each Euler angle."""
 _LARGEST = (5.0, 2.0 * np.pi)
 """m and rad, beyond which a file's numbers are in another unit."""
 
@@ -85,6 +86,14 @@ def ood_targets(seed: int) -> TargetSet:
     axes /= np.linalg.norm(axes, axis=1, keepdims=True)
     R = matrix_from_rotation_vector(axes * rng.uniform(*OOD_ANGLE, (SET_SIZE, 1)))
     return TargetSet("ood", transform(R, np.array(positions))[:, None], relative=True)
+
+
+def training_target(label: GraspLabel, rng: np.random.Generator) -> Array:
+    """(4, 4): a target T_WG to learn with, drawn like the authors' set, but turned both ways about each axis."""
+    position = rng.uniform([-_EASY_XY, -_EASY_XY, 0.0], [_EASY_XY, _EASY_XY, _EASY_Z])
+    T = transform(matrix_from_euler(rng.uniform(-_EASY_ANGLE, _EASY_ANGLE, 3)), position)
+    placed: Array = TargetSet("training", T[None, None], relative=True).place([0], [label])[0, 0]
+    return placed
 
 
 def draw_targets(n_targets: int, n_labels: int, per_label: int | None, rng: np.random.Generator) -> Array:

@@ -36,7 +36,9 @@ SURFACE_FACES = 20_000
 _VERSION = 1
 """Counts changes of what is made of the same file and choices."""
 _MADE = "made.json"
-_SHOWN = ("repairs", "faces", "bounds_m", "volume_m3", "kind", "overlap", "tried")
+_THIN = 2.0
+"""mm. A box thinner than this is remarked on: what is pressed hard goes through it."""
+_SHOWN = ("remarks", "faces", "bounds_m", "volume_m3", "kind", "overlap", "tried")
 
 
 @dataclass(frozen=True)
@@ -159,8 +161,11 @@ def _make(mesh: MeshFile, vertices: Array, unit: str, choice: Choice, threshold:
                 files[entry["file"]] = content
             shapes.append(entry)
     low, high = bounds.tolist()
+    side = 1000 * min(fit.shapes[0].size, default=np.inf)
+    thin = [f"only {side:.2g} mm thick"] if fit.kind == "box" and side < _THIN else []
     return {
-        "units": unit, "repairs": list(solid.notes), "faces": len(faces), "bounds_m": [low, high], "volume_m3": volume,
+        "units": unit, "remarks": [*solid.notes, *thin], "faces": len(faces), "bounds_m": [low, high],
+        "volume_m3": volume,
         "center_m": np.asarray(whole.center_mass).tolist(),
         "inertia_per_density": np.asarray((whole.moment_inertia + whole.moment_inertia.T) / 2).tolist(),
         "kind": fit.kind, "overlap": fit.overlap, "tried": fit.tried, "shapes": shapes,

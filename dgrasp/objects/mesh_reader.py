@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import io
 import json
+import logging
 import re
 import struct
 import warnings
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -119,8 +122,7 @@ def _bytes(path: Path) -> bytes:
 def _parse(suffix: str, raw: bytes) -> tuple[Array, Array]:
     import trimesh  # Late: it takes a second.
 
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
+    with _silence():
         scene = trimesh.load_scene(io.BytesIO(raw), file_type=suffix, process=False, skip_materials=True)
         # A scene may show one mesh many times: counted before it is copied as often.
         geometries = [scene.geometry[scene.graph[node][1]] for node in scene.graph.nodes_geometry]
@@ -132,6 +134,19 @@ def _parse(suffix: str, raw: bytes) -> tuple[Array, Array]:
     vertices = [np.asarray(mesh.vertices, dtype=float) for mesh in meshes]
     faces = [np.asarray(mesh.faces, dtype=np.int64) + start for mesh, start in zip(meshes, starts, strict=False)]
     return np.concatenate([np.zeros((0, 3)), *vertices]), np.concatenate([np.zeros((0, 3), np.int64), *faces])
+
+
+@contextlib.contextmanager
+def _silence() -> Iterator[None]:
+    """No remarks of the library on a damaged file: the error that follows says what the user needs."""
+    logger = logging.getLogger("trimesh")
+    before, logger.disabled = logger.disabled, True
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            yield
+    finally:
+        logger.disabled = before
 
 
 def _check_header(suffix: str, raw: bytes) -> None:

@@ -15,13 +15,15 @@ from dgrasp.types import Array
 
 CELLS = 64
 """Cells along the longest side."""
+_STEP = 1.5
+"""Cells between the points that the new surface is found from."""
 _EXPLAINED = 0.8
 """Share of the cells on the surface that must have inside near them; what is less has no inside to speak of."""
 
 
 @dataclass(frozen=True, eq=False)
 class Rebuilt:
-    """A manifold in m, and the edge (m) of the cells that it was made from; its surface is about half of one off."""
+    """A manifold in m, and the edge (m) of the cells that it was made from; its surface is up to about one off."""
 
     solid: Any
     pitch: float
@@ -47,7 +49,7 @@ def rebuild(vertices: Array, faces: Array) -> Rebuilt | None:
     # Zero in the middle of the cells that the surface passes through.
     depth = distance_transform_edt(filled) - to_inside
     high = first + pitch * (np.array(depth.shape) - 1)
-    solid = Manifold.level_set(_interpolated(depth, first, pitch), [*first, *high], pitch, 0.0)
+    solid = Manifold.level_set(_interpolated(depth, first, pitch), [*first, *high], _STEP * pitch, 0.0)
     if solid.status() != Error.NoError or solid.volume() <= 0.0:
         return None
     return Rebuilt(solid.simplify(pitch / 10), pitch)
@@ -55,7 +57,7 @@ def rebuild(vertices: Array, faces: Array) -> Rebuilt | None:
 
 def _interpolated(values: Array, first: Array, pitch: float) -> Any:
     """Linear interpolation between cells as a function of x, y, z (m)."""
-    # Called half a million times, a point at a time: plain lists are several times faster there than numpy.
+    # Called some hundred thousand times, a point at a time: plain lists are several times faster there than numpy.
     nx, ny, nz = values.shape
     flat = values.reshape(-1).tolist()
     ox, oy, oz = (float(v) for v in first)

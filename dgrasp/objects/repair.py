@@ -28,6 +28,7 @@ _SPECK = 0.005
 _LARGEST_LID = 0.45
 """The same of one piece; with a lid nearly of its own size it is a flap."""
 _MAX_PIECES = 500
+"""A file of more loose pieces is no set of solids but triangles apart."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,12 +57,12 @@ def repair(vertices: Array, faces: Array) -> Solid:
     spread = np.linalg.svd(vertices - vertices.mean(axis=0), compute_uv=False)
     if spread[2] < 1e-6 * spread[0]:
         raise DataError("the mesh is flat; expected one that encloses a volume: give the sheet a thickness")
-    pieces = _pieces(vertices, faces)
+    pieces, count = _pieces(vertices, faces)
+    closed = _close(pieces)
     total = sum(piece.area for piece in pieces)
-    closed = _close(pieces if len(pieces) <= _MAX_PIECES else [])
     reason = ""
-    if len(pieces) > _MAX_PIECES:
-        reason = f"{len(pieces)} loose pieces"
+    if not pieces:
+        reason = f"{count} loose pieces"
     elif closed.capped > LARGEST_CAP * total:
         reason = f"holes make up {closed.capped / total:.0%} of the surface"
     elif closed.lost > LARGEST_LOSS * total:
@@ -135,12 +136,16 @@ class _Piece:
     mixed: bool
 
 
-def _pieces(vertices: Array, faces: Array) -> list[_Piece]:
-    """Connected pieces; edges of three or more faces connect nothing."""
+def _pieces(vertices: Array, faces: Array) -> tuple[list[_Piece], int]:
+    """Connected pieces, none where they are more than `_MAX_PIECES`, and how many; edges of three or more faces connect
+    nothing."""
     import trimesh
 
-    pieces = []
+    pieces: list[_Piece] = []
     mesh = trimesh.Trimesh(vertices, faces, process=False)
+    count = int(trimesh.graph.connected_component_labels(mesh.face_adjacency, node_count=len(faces)).max()) + 1
+    if count > _MAX_PIECES:
+        return pieces, count
     for part in mesh.split(only_watertight=False, repair=False):
         mixed = not part.is_winding_consistent
         if mixed:
@@ -148,7 +153,7 @@ def _pieces(vertices: Array, faces: Array) -> list[_Piece]:
         points, triangles = np.asarray(part.vertices, dtype=float), np.asarray(part.faces, dtype=np.int64)
         outwards = signed_volume(points, triangles) >= 0.0
         pieces.append(_Piece(points, triangles, _area(points, triangles), outwards, mixed))
-    return pieces
+    return pieces, count
 
 
 @dataclass(eq=False)

@@ -9,13 +9,15 @@ from typing import Protocol
 from dgrasp.config import Config
 from dgrasp.control.motion import Fingers
 from dgrasp.env.features import FeatureLayer
-from dgrasp.env.grasp_env import Mode, StepArrays
+from dgrasp.env.grasp_env import GraspEnv, Mode
 from dgrasp.env.rewards import Reward
+from dgrasp.env.state import StepArrays
+from dgrasp.env.target_env import FlatEnv, MotionEnv
 from dgrasp.errors import DGraspError
 from dgrasp.hand.model import HandModel
-from dgrasp.hand.skeleton import N_DOF
+from dgrasp.hand.skeleton import ACTION_SIZES
 from dgrasp.objects.model import ObjectModel
-from dgrasp.rl.collect import Incident
+from dgrasp.rl.collect import Actor, Incident
 from dgrasp.rl.vec_env import Step, VecEnv
 from dgrasp.types import Array, GraspLabel, SceneState
 
@@ -30,26 +32,38 @@ class WorkerLost(DGraspError):
 
 @dataclass(frozen=True)
 class PoolSpec:
-    """What a pool is made of: one environment per label."""
+    """What a pool is made of: one environment per label. grasp: the frozen policy of task "motion"."""
 
     labels: Sequence[GraspLabel]
     hand: HandModel
     objects: Mapping[str, ObjectModel]
     config: Config
+    grasp: Actor | None = None
+
+
+def make_env(spec: PoolSpec, rows: slice = slice(None)) -> GraspEnv:
+    """The environments of some labels, of the kind that `env.task` names."""
+    indices = list(range(len(spec.labels)))[rows]
+    labels = [spec.labels[i] for i in indices]
+    arguments = (labels, spec.hand, spec.objects, spec.config, indices, len(spec.labels))
+    task = spec.config.env.task
+    if task == "motion":
+        return MotionEnv(*arguments, grasp=spec.grasp)
+    return FlatEnv(*arguments) if task == "flat" else GraspEnv(*arguments)
 
 
 class SizedPool:
     """What a pool knows of its environments without having made one."""
 
-    action_size = N_DOF
-
     def __init__(self, spec: PoolSpec) -> None:
         self.labels = spec.labels
         self.num_envs = len(spec.labels)
         self.names = tuple(label.name for label in spec.labels)
-        layer = FeatureLayer(spec.config.env)
+        env = spec.config.env
+        self.action_size = ACTION_SIZES[env.task]
+        layer = FeatureLayer(env)
         self.observation_size, self.actor_size = layer.size, layer.actor_size
-        self.reward_terms = Reward(spec.config.env.reward).names
+        self.reward_terms = Reward(env.reward, env.task).names
         self._events: list[str] = []
         self._incidents: list[Incident] = []
 
@@ -87,7 +101,10 @@ class Pool(VecEnv, Protocol):
         """Begin the stability test in all environments."""
 
     def begin_motion(self, path: Array, fingers: Fingers = "policy") -> None:
-        """Begin motion synthesis along targets (N, P, 4, 4) in all environments (see `GraspEnv.begin_motion`)."""
+        """Begin the motion along targets (N, P, 4, 4) in all environments (see `GraspEnv.begin_motion`).
+
+        The observations of the last step then show the first targets.
+        """
 
     def close(self) -> None:
         """Free worlds and processes."""

@@ -76,7 +76,8 @@ class ProcessPool(SizedPool):
         super().__init__(spec)
         self._spec, self._deadline_s = spec, spec.config.pool.hang_s
         self._workers = max(1, min(workers, self.num_envs))
-        self._shared = Shared(self.num_envs, self.observation_size, len(self.reward_terms), self._workers)
+        sizes = (self.num_envs, self.observation_size, self.action_size, len(self.reward_terms))
+        self._shared = Shared(*sizes, self._workers)
         self.state = self._shared.state
         self._collected: SharedMemory | None = None
         self._layout: Layout = {}

@@ -20,10 +20,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from dgrasp.control.motion import Fingers
-from dgrasp.env.grasp_env import GraspEnv, Mode
+from dgrasp.env.grasp_env import Mode
 from dgrasp.env.state import STATE_SIZE, StepArrays, copy_state, state_views
 from dgrasp.errors import ConfigError
-from dgrasp.pool.base import PoolError, PoolSpec, SizedPool, WorkerLost, as_step
+from dgrasp.pool.base import PoolError, PoolSpec, SizedPool, WorkerLost, as_step, make_env
 from dgrasp.pool.worker import Told
 from dgrasp.rl.collect import Actor, Incident, Trajectories, collect
 from dgrasp.rl.vec_env import Step
@@ -54,11 +54,10 @@ class Rollouts:
     """Some environments of the pool; its methods run on a machine of the cluster."""
 
     def __init__(self, spec: PoolSpec, rows: slice) -> None:
-        self.indices = list(range(len(spec.labels)))[rows]
-        labels = [spec.labels[i] for i in self.indices]
-        self.env = GraspEnv(labels, spec.hand, spec.objects, spec.config, self.indices, len(spec.labels))
-        self._block = np.zeros(len(labels) * STATE_SIZE)
-        self._state = state_views(len(labels), self._block)
+        self.env = make_env(spec, rows)
+        self.indices = self.env.indices
+        self._block = np.zeros(self.env.num_envs * STATE_SIZE)
+        self._state = state_views(self.env.num_envs, self._block)
         self._trajectories: Trajectories | None = None
 
     def process_id(self) -> int:
@@ -89,8 +88,9 @@ class Rollouts:
     def remove_table(self) -> None:
         self.env.remove_table()
 
-    def begin_motion(self, path: Array, fingers: Fingers) -> None:
+    def begin_motion(self, path: Array, fingers: Fingers) -> Seen:
         self.env.begin_motion(path, fingers)
+        return self._seen()
 
     def _seen(self) -> Seen:
         copy_state(self.env.s, self._state, slice(None))
@@ -259,7 +259,7 @@ class RayPool(SizedPool):
         self._all(lambda w: self._actors[w].remove_table.remote())
 
     def begin_motion(self, path: Array, fingers: Fingers = "policy") -> None:
-        self._all(lambda w: self._actors[w].begin_motion.remote(path[self._rows[w]], fingers))
+        self._see(lambda w: self._actors[w].begin_motion.remote(path[self._rows[w]], fingers))
 
     def _see(self, call: Callable[[int], Any]) -> None:
         for w, seen in enumerate(self._all(call)):

@@ -6,8 +6,8 @@ import time
 from collections.abc import Callable
 
 from dgrasp.control.motion import Fingers
-from dgrasp.env.grasp_env import GraspEnv, Mode
-from dgrasp.pool.base import PoolSpec, as_step
+from dgrasp.env.grasp_env import Mode
+from dgrasp.pool.base import PoolSpec, as_step, make_env
 from dgrasp.rl.collect import Actor, Incident, Trajectories, collect
 from dgrasp.rl.vec_env import Step
 from dgrasp.types import Array
@@ -17,7 +17,7 @@ class SerialPool:
     """See `Pool`."""
 
     def __init__(self, spec: PoolSpec) -> None:
-        self.env = GraspEnv(spec.labels, spec.hand, spec.objects, spec.config)
+        self.env = make_env(spec)
         self.labels, self.state = spec.labels, self.env.s
         self.num_envs, self.action_size = self.env.num_envs, self.env.action_size
         self.observation_size, self.reward_terms = self.env.observation_size, self.env.reward_terms

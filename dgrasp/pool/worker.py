@@ -15,8 +15,7 @@ import numpy as np
 from dgrasp.control.motion import Fingers
 from dgrasp.env.grasp_env import GraspEnv, Mode
 from dgrasp.env.state import STATE_SIZE, StepArrays, copy_state, state_views
-from dgrasp.hand.skeleton import N_DOF
-from dgrasp.pool.base import PoolSpec
+from dgrasp.pool.base import PoolSpec, make_env
 from dgrasp.rl.collect import Actor, Incident, Trajectories, collect
 from dgrasp.types import Array, SceneState
 
@@ -44,11 +43,13 @@ def shared_arrays(layout: Layout, name: str | None = None) -> tuple[SharedMemory
 class Shared:
     """The arrays of all N environments for steps from outside, and what a collection needs beside them."""
 
-    def __init__(self, n: int, observation_size: int, n_terms: int, workers: int, name: str | None = None) -> None:
+    def __init__(
+        self, n: int, observation_size: int, action_size: int, n_terms: int, workers: int, name: str | None = None
+    ) -> None:
         layout: Layout = {
             "state": ((n * STATE_SIZE,), np.float64),
             "counts": ((workers,), np.int64),
-            "actions": ((n, N_DOF), np.float32),
+            "actions": ((n, action_size), np.float32),
             "observation": ((n, observation_size), np.float32),
             "final_observation": ((n, observation_size), np.float32),
             "reward": ((n,), np.float32),
@@ -91,7 +92,8 @@ class Worker:
     def __init__(self, conn: Connection, spec: PoolSpec, w: int, workers: int, rows: slice, memory: str) -> None:
         self._conn, self._spec, self._w = conn, spec, w
         self.env = self._make(rows)
-        sizes = (len(spec.labels), self.env.observation_size, len(self.env.reward_terms), workers)
+        env = self.env
+        sizes = (len(spec.labels), env.observation_size, env.action_size, len(env.reward_terms), workers)
         self._shared = Shared(*sizes, name=memory)
         self._memory: SharedMemory | None = None
         self._trajectories: Trajectories | None = None
@@ -99,9 +101,7 @@ class Worker:
 
     def _make(self, rows: slice) -> GraspEnv:
         self._rows, spec = rows, self._spec
-        indices = list(range(len(spec.labels)))[rows]
-        labels = [spec.labels[i] for i in indices]
-        return GraspEnv(labels, spec.hand, spec.objects, spec.config, indices, len(spec.labels))
+        return make_env(spec, rows)
 
     def assign(self, rows: slice) -> None:
         """Take over other environments."""
@@ -123,6 +123,7 @@ class Worker:
 
     def begin_motion(self, path: Array, fingers: Fingers) -> None:
         self.env.begin_motion(path[self._rows], fingers)
+        self._shared.write(self.env, self._rows)
 
     def collect(self, actor: Actor, epoch: int, layout: Layout, memory: str) -> None:
         if self._memory is None or self._memory.name != memory:

@@ -60,7 +60,7 @@
     slider.value = frame;
     find("time").textContent = `${t < 0 ? "\u2212" : "+"}${Math.abs(t).toFixed(2)} s`;
     const lost = loss !== null && frame > loss + 0.5;
-    const phase = lost ? `lost (${r.failure})` : t < 0 ? "table there" : "table gone";
+    const phase = lost ? `lost (${r.outcome})` : t < 0 ? "table there" : "table gone";
     find("phase").textContent = phase;
     find("phase").dataset.lost = lost;
     stage.setAttribute("aria-label", `${r.object} ${r.index}, ${t.toFixed(2)} s, ${phase}`);
@@ -80,7 +80,7 @@
     mark("mark-table", r.start);
     mark("mark-loss", loss);
     find("replay-title").textContent = `${r.object} [${r.index}]`;
-    const facts = [r.failure ? `${r.failure}, lost after ${r.lost_s.toFixed(2)} s` : "held"];
+    const facts = [r.lost_s === null ? r.outcome : `${r.outcome}, lost after ${r.lost_s.toFixed(2)} s`];
     const m = r.metrics;
     if (m.sim_dist_mm_per_step !== undefined) facts.push(`SimDist ${m.sim_dist_mm_per_step.toFixed(1)} mm/step`);
     if (m.contact_ratio !== undefined) facts.push(`contacts ${m.contact_ratio.toFixed(2)}`);

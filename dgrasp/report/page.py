@@ -102,7 +102,7 @@ def _head(result: Result) -> str:
     labels = data.get("labels", "")
     facts = {
         "Engine": result.engine, "Window": f"{result.window_s:g} s",
-        "Labels": f"{result.n_labels} of {len(result.per_object)} objects ({labels})", "Hand": data.get("hand"),
+        "Labels": f"{result.n_labels}, of {len(result.per_object)} objects ({labels})", "Hand": data.get("hand"),
         "Seed": result.seed, "Code": str(result.commit)[:12], "Licence": data.get("licence"),
     }
     items = "".join(f"<div><dt>{name}</dt><dd>{escape(str(value))}</dd></div>"
@@ -157,16 +157,21 @@ def _kinds(found: Mapping[str, int]) -> str:
             f"<tbody>{rows}</tbody></table>")
 
 
-def _replays(shown: Sequence[tuple[str, EpisodeRecord, Mapping[str, Any]]]) -> str:
+def _replays(shown: Sequence[tuple[str, EpisodeRecord, dict[str, Any]]]) -> str:
     thumbs: dict[str, list[str]] = {}
     for place, (group, _, row) in enumerate(shown):
-        told = f"{row['failure']} \u00b7 {row['lost_s']:.2f} s" if "failure" in row else (
-            f"held \u00b7 {row['sim_dist_mm_per_step']:.1f} mm/step" if "sim_dist_mm_per_step" in row else "held")
-        kind = row.get("failure", "held")
+        said = replay.told(row)
+        if "lost_s" in row:
+            said += f" \u00b7 {row['lost_s']:.2f} s"
+        elif "mpe_m" in row:
+            said += f" \u00b7 {1000.0 * row['mpe_m']:.0f} mm off"
+        elif "sim_dist_mm_per_step" in row:
+            said += f" \u00b7 {row['sim_dist_mm_per_step']:.1f} mm/step"
+        kind = row.get("failure", "held" if row.get("carried", True) else "drop")
         thumbs.setdefault(group, []).append(
             f'<button class="thumb" data-replay="{place}" aria-pressed="false"><canvas></canvas>'
             f"<b>{escape(str(row['object']))} [{row['index']}]</b>"
-            f'<span><i class="k-{kind}"></i>{told}</span></button>'
+            f'<span><i class="k-{kind}"></i>{said}</span></button>'
         )
     strips = "".join(
         f'<h3>{"Worst" if group == "worst" else "Best"} {len(buttons)}</h3><div class="strip">{"".join(buttons)}</div>'

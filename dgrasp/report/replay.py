@@ -37,9 +37,17 @@ def ranking(rows: Sequence[Row]) -> list[int]:
     def key(i: int) -> tuple[float, float, int]:
         row = rows[i]
         off = row["mpe_m"] if "mpe_m" in row else row.get("sim_dist_mm_per_step", np.inf)
-        return -float(row.get("lost_s", np.inf)), float(off), i
+        kept = row.get("lost_s", np.inf) if row.get("carried", True) else 0.0
+        return -float(kept), float(off), i
 
     return sorted(range(len(rows)), key=key)
+
+
+def told(row: Row) -> str:
+    """How an episode ended, in a word or two."""
+    if "carried" in row:
+        return "carried" if row["carried"] else "lost on the way"
+    return str(row.get("failure", "held"))
 
 
 def chosen(rows: Sequence[Row]) -> tuple[list[int], list[int]]:
@@ -77,7 +85,7 @@ def _replay(group: str, record: EpisodeRecord, row: Row, meshes: DisplayMeshes) 
     shown = ("sim_dist_mm_per_step", "contact_ratio", "interpenetration_cm3", "mpe_m", "geodesic_rad")
     return {
         "group": group, "object": row["object"], "index": row["index"],
-        "failure": row.get("failure"), "lost_s": row.get("lost_s"),
+        "outcome": told(row), "lost_s": row.get("lost_s"),
         "metrics": {name: row[name] for name in shown if name in row},
         "n": len(t), "bodies": t.shape[1], "dt": record.dt * stride, "start": (record.window_start - 1) / stride,
         "yaw": round(yaw, 3), "target": [round(float(x), 4) for x in target],

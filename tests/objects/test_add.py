@@ -194,3 +194,8 @@ def test_where_objects_are_looked_for(file: Path, tmp_path: Path) -> None:
     with pytest.raises(DataError, match=r"unknown object 'cub'.*there: cup\).*did you mean 'cup'.*dgrasp object add"):
         find_object("cub", [tmp_path / "a", tmp_path / "b"])
     assert default_store() == data_root() / "objects"
+
+
+def test_a_thin_sheet_is_remarked_on(tmp_path: Path) -> None:
+    sheet = add_object(save(box((0.2, 0.15, 0.0005)), tmp_path / "sheet.ply"), tmp_path, "sheet", choice="box")
+    assert sheet.meta["figures"]["remarks"] == ["only 0.5 mm thick"] and sheet.meta["mass_kg"] == pytest.approx(0.0075)

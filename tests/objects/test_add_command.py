@@ -9,6 +9,8 @@ from pathlib import Path
 import pytest
 
 from dgrasp.cli import main, run_command
+from dgrasp.config import load_config
+from dgrasp.data import resolve
 from dgrasp.labels.native import write_native
 from tests.cli.folder import make_folder
 from tests.objects.meshes import box, save
@@ -49,7 +51,9 @@ def test_from_a_mesh_to_a_result(tmp_path: Path, capsys: pytest.CaptureFixture[s
     assert "objects: no folder" in capsys.readouterr().err
     # In the data's own folder of objects it is found without a word.
     (tmp_path / "mine").rename(data / "objects")
-    assert run_command("test", words) == 0
+    choice = resolve(load_config(None, [f"data={data}", f"labels.source={tmp_path / 'my.npz'}"]))
+    assert choice.added["carton"].folder == data / "objects" / "carton"
+    assert "1 of them added: carton" in choice.describe()
 
 
 def test_a_folder_adds_what_it_can(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

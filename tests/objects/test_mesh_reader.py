@@ -126,11 +126,14 @@ PLY = b"ply\nformat binary_little_endian 1.0\nelement vertex %d\nproperty float 
         ("a", b"x", "a file of type '"),
     ],
 )
-def test_bad_files_are_one_message(tmp_path: Path, name: str, content: bytes, reason: str) -> None:
+def test_bad_files_are_one_message(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, name: str, content: bytes, reason: str
+) -> None:
     (tmp_path / name).write_bytes(content)
     with pytest.raises(DataError, match=reason) as error:
         read_mesh_file(tmp_path / name)
     assert str(error.value).startswith(str(tmp_path / name)) and "\n" not in str(error.value)
+    assert not caplog.records
 
 
 @pytest.mark.parametrize("suffix", ["stl", "ply", "glb"])

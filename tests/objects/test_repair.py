@@ -7,6 +7,7 @@ import pytest
 import trimesh
 
 from dgrasp.errors import DataError
+from dgrasp.objects import rebuild
 from dgrasp.objects.repair import Solid, repair
 from tests.objects.meshes import VOLUME, box, joined, plain
 
@@ -86,10 +87,18 @@ def test_a_non_manifold_scan_is_built_anew() -> None:
     both.merge_vertices()
     _, first = np.unique(np.sort(both.faces, axis=1), axis=0, return_index=True)
     solid = mended(plain(both.vertices, both.faces[np.sort(first)]))
-    # Cells of 0.08 / 64 m, and a surface in their middle: off by less than half a cell all around.
+    # Cells of 0.08 / 64 m: the surface is off by less than one.
     assert solid.solid.volume() == pytest.approx(2 * 0.04**3, rel=0.04)
     assert "built anew on a grid of 1.2 mm" in solid.notes[-1]
     assert np.ptp(solid.mesh[0], axis=0) == pytest.approx((0.04, 0.04, 0.08), abs=1.3e-3)
+
+
+def test_loose_triangles_that_do_not_quite_meet(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(rebuild, "CELLS", 32)
+    ball = trimesh.creation.icosphere(3, 0.03)
+    corners = ball.vertices[ball.faces] + np.random.default_rng(0).normal(0.0, 5e-5, (1280, 3, 3))
+    solid = mended(plain(corners.reshape(-1, 3), np.arange(3 * 1280).reshape(-1, 3)))
+    assert "1280 loose pieces" in solid.notes[-1] and solid.solid.volume() == pytest.approx(ball.volume, rel=0.03)
 
 
 def test_a_thin_sheet() -> None:

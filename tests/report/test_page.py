@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import base64
+import dataclasses
 import json
 import re
 from html.parser import HTMLParser
@@ -10,10 +11,11 @@ import pytest
 
 from dgrasp.eval import output
 from dgrasp.eval.latex import latex_text
+from dgrasp.eval.summary import summarise
 from dgrasp.report import charts
 from dgrasp.report.page import html_text, shown_episodes, write_report
 from tests.eval.records import DT
-from tests.eval.test_summary import PAPER
+from tests.eval.test_summary import COST, FREE, PAPER
 from tests.export.sequences import episode
 from tests.report.episodes import MUG, SUGAR, drawn, evaluated, page, records
 
@@ -87,7 +89,7 @@ def test_replays_are_the_worst_and_the_best(read: Read) -> None:
     assert [(r["group"], r["object"], r["index"]) for r in data["replays"]] == [
         ("worst", MUG, 1), ("worst", SUGAR, 1), ("best", SUGAR, 0), ("best", MUG, 0),
     ]  # fmt: skip
-    assert [r["failure"] for r in data["replays"]] == ["lift", "lift", None, None]
+    assert [r["outcome"] for r in data["replays"]] == ["lift", "lift", "held", "held"]
     assert set(data["objects"]) == {SUGAR, MUG}
     thumbs = [attrs["data-replay"] for tag, attrs in read.tags if tag == "button" and "data-replay" in attrs]
     assert thumbs == ["0", "1", "2", "3"]
@@ -137,6 +139,19 @@ def test_a_simulation_that_broke_at_once_has_no_replay(tmp_path: Path) -> None:
     write_report(tmp_path / "a.html", result, [none] * 4, drawn())
     text = (tmp_path / "a.html").read_text()
     assert 'id="stage"' not in text and 'id="results"' in text
+
+
+def test_a_report_of_motions_has_their_errors_and_no_window() -> None:
+    moved = [episode(label=record.label, target_T_WO=record.T_WO) for record in records()]
+    rows = [{"object": r.label.object_id, "index": r.label.index, "target": 0, "mpe_m": 0.01 * k, "geodesic_rad": 0.1,
+             "carried": k < 3} for k, r in enumerate(moved)]
+    result = summarise(rows, method="policy", engine="pybullet", window_s=5.0, seed=1, data=FREE, cost=COST)
+    result = dataclasses.replace(result, motion={"targets": "easy", "steps": 8})
+    text = html_text(result, moved, drawn())
+    assert "Position error" in text and "lost on the way" in text and "The wrist then carries" in text
+    assert "Success over time" not in text and 'id="kinds"' not in text
+    data = json.loads(text.split('id="replay-data">')[1].split("</script>")[0])
+    assert data["replays"][0]["outcome"] == "lost on the way" and data["replays"][0]["bodies"] == 18
 
 
 def test_axes_have_round_ends() -> None:

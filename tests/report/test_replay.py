@@ -35,7 +35,9 @@ def test_ranking_is_held_and_still_first() -> None:
 
 
 def test_moved_objects_are_ranked_by_where_they_end() -> None:
-    assert replay.ranking([{"object": "a", "index": 0, "mpe_m": off} for off in (0.3, 0.1, 0.2)]) == [1, 2, 0]
+    rows = [{"object": "a", "index": 0, "mpe_m": off, "carried": off != 0.1} for off in (0.3, 0.1, 0.2)]
+    assert replay.ranking(rows) == [2, 0, 1]
+    assert [replay.told(row) for row in rows[:2]] == ["carried", "lost on the way"]
 
 
 def numbers(text: str, dtype: str, width: int) -> Array:

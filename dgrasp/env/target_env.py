@@ -1,0 +1,115 @@
+"""The tasks that lead the object to a target: one policy of everything, or one of the wrist on a frozen grasp."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from dgrasp.control.controllers import HOLD_KP_POSITION, Controller
+from dgrasp.control.motion import Fingers
+from dgrasp.control.wrist import WholeHand, move_wrist
+from dgrasp.env.features import FeatureLayer, Relations, relations
+from dgrasp.env.grasp_env import GraspEnv, Mode
+from dgrasp.hand.skeleton import N_DOF, N_WRIST_DOF
+from dgrasp.motion.targets import training_target
+from dgrasp.rl.collect import Actor
+from dgrasp.types import Array
+
+
+class TargetEnv(GraspEnv):
+    """A `GraspEnv` whose training episodes have a target each, drawn from (seed, epoch, environment)."""
+
+    def _place(self, i: int) -> None:
+        super()._place(i)
+        if self.mode == "train":
+            T_WG = training_target(self.labels[i], self._rng[i])
+            self.s.R_WG[i], self.s.target_pos_W[i] = T_WG[:3, :3], T_WG[:3, 3]
+
+
+class FlatEnv(TargetEnv):
+    """The baseline Flat-RL: one policy has wrist and fingers from the first step to the last (supplement, B.4).
+
+    Its wrist has the bias of `env.wrist`, and moves along and about the world's axes as psi's does. A motion that
+    begins changes the target and nothing else.
+    """
+
+    def _start_control(self) -> Controller:
+        return super()._start_control() if self.mode == "label" else WholeHand(self.config.env)
+
+    def _aim_joints(self, actions: Array) -> None:
+        super()._aim_joints(actions)
+        if isinstance(self.control, WholeHand):
+            move_wrist(self._target, self.s, actions[:, :N_WRIST_DOF], self.config.motion, slice(None))
+
+    def _begin_motion_control(self, fingers: Fingers) -> None:
+        """The policy has it already."""
+
+
+@dataclass
+class MotionEnv(TargetEnv):
+    """The baseline "learned policy": actions (N, 6) move the wrist, while a frozen policy grasps (supplement, A.2).
+
+    An episode begins with the grasp, `env.grasp_steps` control steps of the frozen policy alone. In training a reset
+    makes them, so that they are no part of what is learned from. (An episode that the simulation broke begins anew in
+    the middle of an epoch; there the actions have no effect, and earn nothing, until the grasp is made.) In a test
+    nothing moves before `begin_motion`.
+
+    grasp: the frozen policy, on the features of task "grasp".
+    """
+
+    grasp: Actor | None = None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        env = self.config.env.model_copy(update={"task": "grasp", "critic_features": False})
+        self._grasp_layer = FeatureLayer(env)
+        self._moving = np.zeros(self.num_envs, bool)
+        """Environments whose wrist the actions move."""
+
+    def reset(self, epoch: int = 0, mode: Mode = "train") -> Array:
+        """As for grasping; in training the hand has grasped when it returns."""
+        super().reset(epoch, mode)
+        if mode == "train":
+            nothing = np.zeros((self.num_envs, self.action_size))
+            for _ in range(self.config.env.grasp_steps):
+                self.step(nothing)
+        return self.o.observation
+
+    def _place(self, i: int) -> None:
+        super()._place(i)
+        self._moving[i] = False
+
+    def _aim_joints(self, actions: Array) -> None:
+        if self.mode == "train":
+            self._let_go(~self._moving & (self.clock >= self.config.env.grasp_steps))
+        super()._aim_joints(self._grasp_actions())
+        rows = np.flatnonzero(self._moving)
+        self._target[rows, :N_WRIST_DOF] = self.s.gc[rows, :N_WRIST_DOF]
+        move_wrist(self._target, self.s, actions, self.config.motion, rows)
+
+    def _grasp_actions(self) -> Array:
+        """(N, 51) actions of the frozen policy; zeros where there is nothing to act on."""
+        assert self.grasp is not None
+        rows = np.flatnonzero(self.alive & self.active)
+        phi = np.zeros((self.num_envs, self._grasp_layer.size), np.float32)
+        self._grasp_layer(self.s, self.goal, relations(self.s, self.goal), phi)
+        means, actions = np.zeros((len(rows), N_DOF), np.float32), np.zeros((self.num_envs, N_DOF), np.float32)
+        self.grasp.means(phi[rows], means)
+        actions[rows] = means
+        return actions
+
+    def _let_go(self, which: Array) -> None:
+        """The motion of some environments begins: the wrist is as stiff as motion synthesis has it."""
+        for i in np.flatnonzero(which).tolist():
+            scene = self.scenes[i]
+            scene.set_gains(self.config.env.action, HOLD_KP_POSITION, scene.object_model.mass)
+        self._moving |= which
+
+    def _begin_motion_control(self, fingers: Fingers) -> None:
+        """Let the actions move all wrists."""
+        self._let_go(np.ones(self.num_envs, bool))
+
+    def _pay(self, r: Relations) -> None:
+        super()._pay(r)
+        self.o.reward[~self._moving], self.o.reward_terms[~self._moving] = 0.0, 0.0
