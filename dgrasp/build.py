@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dgrasp.baselines.learned_motion import grasping_policy
 from dgrasp.config import Config
 from dgrasp.data import DataChoice
 from dgrasp.errors import ConfigError
@@ -11,6 +12,7 @@ from dgrasp.objects.model import ObjectModel
 from dgrasp.objects.release import Concave, release_object
 from dgrasp.objects.store import load_object
 from dgrasp.pool import Pool, PoolSpec, make_pool
+from dgrasp.rl.collect import Actor
 from dgrasp.scene.standing import standing
 from raisim_like.engines import make_engine
 from raisim_like.errors import EngineError
@@ -37,13 +39,24 @@ def build_hand(choice: DataChoice) -> HandModel:
 
 
 def build_spec(choice: DataChoice, config: Config) -> PoolSpec:
-    """What a pool for the chosen labels is made of; `ConfigError` for an engine that is not installed."""
+    """What a pool for the chosen labels is made of.
+
+    `ConfigError` for an engine that is not installed, and for a `motion.policy` that cannot make the grasps of a task.
+    """
     try:
         make_engine(config.engine)
     except EngineError as error:
         raise ConfigError(f"engine: {error}") from None
+    grasp = frozen_policy(config)
     objects = build_objects(choice, config)
-    return PoolSpec(standing(choice.labels.labels, objects), build_hand(choice), objects, config)
+    return PoolSpec(standing(choice.labels.labels, objects), build_hand(choice), objects, config, grasp)
+
+
+def frozen_policy(config: Config) -> Actor | None:
+    """The policy of `motion.policy`, where the task needs one: to grasp with, or to say which grasps are stable."""
+    task = config.env.task
+    needed = task == "motion" or (task == "flat" and config.motion.stable_alone)
+    return grasping_policy(config).arrays() if needed else None
 
 
 def build_pool(choice: DataChoice, config: Config) -> Pool:

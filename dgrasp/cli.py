@@ -39,7 +39,7 @@ commands:
   demo     train briefly on the free set and show what happens
   runs     list training runs, compare two
   export   stored sequences as arrays, GLB animations, GIF or mp4
-  hand     build: a physics hand from a MANO file; report: compare hands
+  hand     build: a physics hand from a MANO file or the free skin; report: compare hands
   object   add: objects for the physics from mesh files
   labels   import: labels from DexYCB, HO3D or MANO parameters; check: what is wrong with a label file
 """

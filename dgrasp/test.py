@@ -12,7 +12,7 @@ from typing import Any
 
 import torch
 
-from dgrasp.baselines import BASELINES
+from dgrasp.baselines import BASELINES, TRAINED_BASELINES, method_of
 from dgrasp.baselines.ik import IkBaseline
 from dgrasp.baselines.static_grasp import StaticGrasp
 from dgrasp.build import build_spec
@@ -32,8 +32,8 @@ from dgrasp.export.sequence import check_folder, write_folder
 from dgrasp.pool import PoolSpec, make_pool
 from dgrasp.report.page import write_report
 from dgrasp.rl import checkpoint
+from dgrasp.rl.policies import read_policy
 from dgrasp.rl.progress import format_duration
-from dgrasp.rl.published import load_published_actor
 from dgrasp.tables.plan import NAMES
 from dgrasp.train import find_config
 from dgrasp.types import EpisodeRecord
@@ -55,13 +55,15 @@ examples:
   python test.py --run runs/dexycb_1 --motion MY.csv                  to your own poses, or along your own path
   python test.py --table grasp --engine mujoco           a table of the paper; --budget 60 trains what it lacks
   python test.py --baseline static_grasp [--policy full_6000.pt]      the fingers only hold while the wrist moves
+  python test.py --baseline flat_rl --run runs/flat_rl_1              one policy for all of it; likewise learned_motion
 """
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The options of `test`."""
-    parser.add_argument("--baseline", choices=sorted(BASELINES), help="a baseline of the paper; static_grasp takes its "
-                        "grasps from --run or --policy, else from the labels by PD")
+    parser.add_argument("--baseline", choices=sorted([*BASELINES, *TRAINED_BASELINES]), help="a baseline of the "
+                        "paper; static_grasp takes its grasps from --run or --policy, else from the labels by PD; "
+                        "flat_rl and learned_motion are runs of their own")
     what = parser.add_mutually_exclusive_group()
     what.add_argument("--run", type=Path, metavar="DIR", help="the last checkpoint of a training run")
     what.add_argument("--policy", type=Path, metavar="FILE.pt", help="a checkpoint: ours, or one of the authors'")
@@ -102,8 +104,9 @@ def main(arguments: argparse.Namespace) -> int:
         check_folder(arguments.records)
     config = _config(arguments)
     method = _method(arguments)
+    _check_task(method, config)
     choice = resolve(config)
-    if isinstance(method, StaticGrasp) and config.motion.targets is None:
+    if (isinstance(method, StaticGrasp) or config.env.task != "grasp") and config.motion.targets is None:
         config = config.model_copy(update={"motion": config.motion.model_copy(update={"targets": usual_set(choice)})})
     print(choice.describe(), flush=True)
     evaluation = evaluate_choice if config.motion.targets is None else evaluate_motion
@@ -211,6 +214,8 @@ def _config(arguments: argparse.Namespace) -> Config:
 
 def _method(arguments: argparse.Namespace) -> Method:
     learned = arguments.run is not None or arguments.policy is not None
+    if arguments.baseline in TRAINED_BASELINES:
+        return _trained_baseline(arguments, learned)
     if arguments.baseline == StaticGrasp.name:
         return StaticGrasp(_policy(arguments) if learned else None)
     if learned == (arguments.baseline is not None):
@@ -219,13 +224,38 @@ def _method(arguments: argparse.Namespace) -> Method:
     return _policy(arguments) if learned else BASELINES[arguments.baseline]()
 
 
+def _trained_baseline(arguments: argparse.Namespace, learned: bool) -> Method:
+    kind = TRAINED_BASELINES[arguments.baseline]
+    train = f"python train.py --cfg cfg/{kind.name}.yaml" + " motion.policy=FILE.pt" * (kind.task == "motion")
+    if not learned:
+        raise ConfigError(f"--baseline {kind.name} is a policy of its own: expected --run DIR too. "
+                          f"To train one: {train}")
+    method = _policy(arguments)
+    if not isinstance(method, kind):
+        raise ConfigError(f"{arguments.run or arguments.policy}: not a policy of {kind.name} but one of task "
+                          f"{_task(method)}; expected one that was made by: {train}")
+    return method
+
+
 def _policy(arguments: argparse.Namespace) -> Method:
     path = arguments.policy if arguments.policy is not None else checkpoint.latest(arguments.run)
-    if arguments.policy is not None:
-        content = checkpoint.read_torch_file(path, "a checkpoint")
-        if isinstance(content, dict) and "actor_architecture_state_dict" in content:
-            return PolicyMethod(load_published_actor(path))
-    return PolicyMethod(checkpoint.load_policy(path))
+    return method_of(read_policy(path))
+
+
+def _task(method: Method) -> str:
+    """The `env.task` that a method is for."""
+    made_by = method.grasp if isinstance(method, StaticGrasp) else method
+    return made_by.task if isinstance(made_by, PolicyMethod) else "grasp"
+
+
+def _check_task(method: Method, config: Config) -> None:
+    task = _task(method)
+    if task != config.env.task:
+        raise ConfigError(f"{method.name} is of task {task}, and the config of env.task={config.env.task}; expected "
+                          "the policy's own config: its --run, or --cfg RUN/config.yaml")
+    if task != "grasp" and isinstance(method, StaticGrasp):
+        raise ConfigError(f"--baseline static_grasp: a policy of task {task} makes no grasp to hold; expected a "
+                          "grasping policy")
 
 
 class _Progress:

@@ -6,24 +6,30 @@ import argparse
 import json
 import re
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
 
 from dgrasp.atomic import write_atomic
-from dgrasp.build import build_spec
+from dgrasp.baselines import TRAINED_BASELINES
+from dgrasp.build import build_spec, frozen_policy
 from dgrasp.config import Config, dump_config, load_config
 from dgrasp.data import DataChoice, resolve
 from dgrasp.errors import ConfigError, DataError
 from dgrasp.eval.evaluator import evaluate
 from dgrasp.eval.method import PolicyMethod
+from dgrasp.eval.motion import choose_targets, motion_row, move, stable_grasps, usual_set
 from dgrasp.eval.summary import summarise
+from dgrasp.motion.targets import draw_targets
 from dgrasp.paths import cfg_root
 from dgrasp.pool import Pool, PoolSpec, make_pool
 from dgrasp.rl import checkpoint
 from dgrasp.rl.networks import Policy
 from dgrasp.rl.runner import Runner
+from dgrasp.types import EpisodeRecord
 from dgrasp.view.frames import gif_bytes, render_record
 
 HELP = """\
@@ -37,6 +43,7 @@ examples:
   python train.py --cfg cfg/dexycb.yaml labels.objects=[004_sugar_box]   one object
   python train.py --cfg cfg/dexycb.yaml --data free ppo.epochs=50 pool.workers=4
   python train.py --resume runs/dexycb_1                             go on after an interruption
+  python train.py --cfg cfg/flat_rl.yaml                             a baseline; cfg/learned_motion.yaml another
   tensorboard --logdir runs                                          watch it
 """
 
@@ -73,6 +80,7 @@ def main(arguments: argparse.Namespace) -> int:
         run_dir = arguments.run or next_run(config.name)
         if run_dir.exists() and (not run_dir.is_dir() or any(run_dir.iterdir())):
             raise ConfigError(f"{run_dir} exists already; continue it with --resume {run_dir}, or choose another --run")
+    frozen_policy(config)
     choice = resolve(config)
     print(choice.describe(), flush=True)
     if arguments.resume is None:
@@ -117,9 +125,14 @@ def train(run_dir: Path, config: Config, choice: DataChoice, resume: bool = Fals
     # The workers use all cores; a second thread here would only take one from them.
     torch.set_num_threads(1)
     spec = build_spec(choice, config)
+    if config.env.task != "grasp" and config.motion.stable_alone:
+        spec = only_stable(spec)
     pool = make_pool(spec)
     try:
-        evaluator = periodic_evaluation(pool, spec, choice.stamp())
+        if config.env.task == "grasp":
+            evaluator = periodic_evaluation(pool, spec, choice.stamp())
+        else:
+            evaluator = periodic_motion(pool, spec, choice)
         Runner(pool, config, run_dir, choice.stamp(), evaluator, resume).learn()
     finally:
         pool.close()
@@ -140,10 +153,49 @@ def periodic_evaluation(pool: Pool, spec: PoolSpec, stamp: dict[str, Any]) -> Ca
         values: dict[str, Any] = dict(result.mean_over_labels)
         values["success_mean_over_objects"] = result.mean_over_objects["success"]
         if config.eval.gif:
-            record = records[count * 7 % len(records)]
-            frames = render_record(record, spec.hand, spec.objects[record.label.object_id], config.engine, every=6)
-            values["gif"] = gif_bytes(frames, 6 * config.control_period)
+            values["gif"] = _gif(records[count * 7 % len(records)], spec)
         count += 1
         return values
 
     return run
+
+
+def only_stable(spec: PoolSpec) -> PoolSpec:
+    """The labels whose grasps by `motion.policy` are stable; the paper trains on no others (supplement, B.5)."""
+    stable, _, _ = stable_grasps(spec, None)
+    print(f"{int(stable.sum())} of {len(stable)} grasps of motion.policy are stable, and are trained on", flush=True)
+    return replace(spec, labels=[label for label, ok in zip(spec.labels, stable, strict=True) if ok])
+
+
+def periodic_motion(pool: Pool, spec: PoolSpec, choice: DataChoice) -> Callable[[Policy], dict[str, Any]]:
+    """The same for the tasks with a target: each of the pool's labels goes to one target of `motion.targets`."""
+    config = spec.config
+    named = config.motion.model_copy(update={"targets": config.motion.targets or usual_set(choice)})
+    targets = choose_targets(config.model_copy(update={"motion": named}), choice)
+    which = draw_targets(len(targets.T), pool.num_envs, 1, np.random.default_rng(config.seed))[0]
+    path = targets.place(which, spec.labels)
+    steps = max(config.motion.steps, path.shape[1])
+    kind = next(kind for kind in TRAINED_BASELINES.values() if kind.task == config.env.task)
+    count = 0
+
+    def run(policy: Policy) -> dict[str, Any]:
+        nonlocal count
+        records, _ = move(pool, kind(policy), config, path, steps)
+        rows = [motion_row(record, int(target), False) for record, target in zip(records, which, strict=True)]
+        values: dict[str, Any] = {"carried": float(np.mean([row["carried"] for row in rows]))}
+        for name in ("mpe_m", "geodesic_rad"):
+            # An episode that broke before its motion has neither.
+            measured = [row[name] for row in rows if name in row]
+            values |= {name: float(np.mean(measured))} if measured else {}
+        if config.eval.gif:
+            values["gif"] = _gif(records[count * 7 % len(records)], spec)
+        count += 1
+        return values
+
+    return run
+
+
+def _gif(record: EpisodeRecord, spec: PoolSpec) -> bytes:
+    config = spec.config
+    frames = render_record(record, spec.hand, spec.objects[record.label.object_id], config.engine, every=6)
+    return gif_bytes(frames, 6 * config.control_period)

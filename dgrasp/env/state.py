@@ -1,4 +1,4 @@
-"""The arrays of N environments: their `SceneState`, in one block that may live in shared memory, and what a step says."""
+"""The arrays of N environments: their `SceneState`, a block that may be shared memory, and what a step says."""
 
 from __future__ import annotations
 

@@ -4,7 +4,11 @@ from __future__ import annotations
 
 from typing import Protocol
 
+import numpy as np
+
 from dgrasp.env.grasp_env import Mode
+from dgrasp.hand.skeleton import N_DOF
+from dgrasp.rl.collect import Actor
 from dgrasp.rl.networks import Policy
 from dgrasp.types import Array
 
@@ -23,9 +27,26 @@ class PolicyMethod:
     """A trained policy, without exploration noise, from the start of the approach (paper, section 4.4)."""
 
     mode: Mode = "test"
+    task = "grasp"
+    """The `env.task` that such a policy is for."""
 
     def __init__(self, policy: Policy, name: str = "policy") -> None:
         self.policy, self.name = policy, name
 
     def act(self, observation: Array) -> Array:
         return self.policy.act(observation)
+
+
+class FrozenGrasp:
+    """The frozen grasping policy of task "motion", as its environments have it."""
+
+    name = "policy"
+    mode: Mode = "test"
+
+    def __init__(self, actor: Actor) -> None:
+        self._actor = actor
+
+    def act(self, observation: Array) -> Array:
+        actions = np.empty((len(observation), N_DOF), np.float32)
+        self._actor.means(observation, actions)
+        return actions

@@ -11,13 +11,15 @@ from typing import Any
 
 import numpy as np
 
+from dgrasp.baselines.flat_rl import FlatRl
+from dgrasp.baselines.learned_motion import LearnedMotion
 from dgrasp.baselines.static_grasp import StaticGrasp
 from dgrasp.config import Config
 from dgrasp.data import DataChoice
 from dgrasp.errors import ConfigError, DataError
 from dgrasp.eval import metrics
 from dgrasp.eval.evaluator import Cost, Progress, evaluate, grasp_steps, run_episodes
-from dgrasp.eval.method import Method, PolicyMethod
+from dgrasp.eval.method import FrozenGrasp, Method, PolicyMethod
 from dgrasp.eval.summary import Result, Row, summarise
 from dgrasp.motion.files import read_targets
 from dgrasp.motion.paths import PATHS
@@ -82,19 +84,12 @@ def run_motions(
     episode = grasp_steps(method, config) + steps
     test_steps = grasp_steps(method, config) + max(1, round(config.eval.window_s / config.control_period))
     total = len(which) * episode + (test_steps if motion.stable_alone else 0)
-    stable, costs, events, done = np.ones(len(spec.labels), bool), [], [], 0
+    stable, done = np.ones(len(spec.labels), bool), 0
+    costs: list[Cost] = []
+    events: list[str] = []
     if motion.stable_alone:
-        pool = make_pool(spec)
-        try:
-            tested, cost = evaluate(pool, method, config, config.eval.window_s, _shifted(progress, 0, total))
-            events += pool.drain_events()
-        finally:
-            pool.close()
-        stable[:] = [metrics.success(record, config.eval.window_s) for record in tested]
+        stable, cost, events = stable_grasps(spec, method, _shifted(progress, 0, total))
         costs, done = [cost], test_steps
-        if not stable.any():
-            raise DataError(f"none of the {len(stable)} grasps passes the stability test of {config.eval.window_s:g} "
-                            "s, so there is nothing to move; motion.stable_alone=false moves them all the same")
     spec = dataclasses.replace(spec, labels=[label for label, ok in zip(spec.labels, stable, strict=True) if ok])
     rounds = []
     pool = make_pool(spec)
@@ -114,14 +109,46 @@ def run_motions(
     )  # fmt: skip
 
 
+def stable_grasps(
+    spec: PoolSpec, method: Method | None, progress: Progress | None = None
+) -> tuple[Array, Cost, list[str]]:
+    """(N,) bool: which grasps of the labels pass the stability test; its cost and events. `DataError` if none does.
+
+    Who makes them is `method`, but in the tasks motion and flat the frozen policy, in the task of grasping.
+    """
+    config = spec.config
+    if config.env.task != "grasp":
+        assert spec.grasp is not None
+        method = FrozenGrasp(spec.grasp)
+        config = config.model_copy(update={"env": config.env.model_copy(update={"task": "grasp"})})
+    assert method is not None
+    pool = make_pool(dataclasses.replace(spec, config=config))
+    try:
+        records, cost = evaluate(pool, method, config, config.eval.window_s, progress)
+        events = pool.drain_events()
+    finally:
+        pool.close()
+    stable = np.array([metrics.success(record, config.eval.window_s) for record in records], bool)
+    if not stable.any():
+        raise DataError(f"none of the {len(stable)} grasps passes the stability test of {config.eval.window_s:g} "
+                        "s, so there is nothing to move; motion.stable_alone=false moves them all the same")
+    return stable, cost, events
+
+
 def move(
     pool: Pool, method: Method, config: Config, path: Array, steps: int, progress: Progress | None = None
 ) -> tuple[list[EpisodeRecord], Cost]:
-    """One episode per label: the grasp, then `steps` control steps along the targets path (N, P, 4, 4)."""
+    """One episode per label: the grasp, then `steps` control steps along the targets path (N, P, 4, 4).
+
+    Flat-RL knows no phases: it has as many steps in all, and the first target from the first of them.
+    """
     grasp = grasp_steps(method, config)
     fingers = config.motion.static_fingers if isinstance(method, StaticGrasp) else "policy"
+    first = grasp
+    if isinstance(method, FlatRl):
+        first, path = 0, np.concatenate([np.repeat(path[:, :1], grasp, axis=1), path], axis=1)
     begin = partial(pool.begin_motion, path, fingers)
-    recorder, cost = run_episodes(pool, method, grasp + steps, grasp, begin, progress)
+    recorder, cost = run_episodes(pool, method, grasp + steps, first, begin, progress)
     records = recorder.records(grasp, config.control_period, with_target=True)
     return [until_floor(record) for record in records], cost
 
@@ -174,6 +201,10 @@ def motion_result(
         "left_out": [f"{label.object_id}[{label.index}]" for label, ok in zip(labels, motions.stable, strict=True)
                      if not ok],
     }
+    if isinstance(method, (FlatRl, LearnedMotion)):
+        del about["beta"]
+        about["sigma"] = {"position": motion.sigma_position, "rotation": motion.sigma_rotation}
+        about["grasp"] = method.name if isinstance(method, FlatRl) else str(motion.policy)
     if not motion.stable_alone:
         del about["n_stable"], about["left_out"]
     return summarise(

@@ -46,14 +46,14 @@ def paper_column(labels_source: str, split: str, method: str) -> Column | None:
 MOTION_OBJECTS = ("002_master_chef_can", "004_sugar_box", "007_tuna_fish_can", "019_pitcher_base",
                   "052_extra_large_clamp", "061_foam_brick")
 """The paper's objects of motion synthesis (supplement, "Experimental Details")."""
-_MOTION = {"policy": "ours", "static_grasp": "static_grasp"}
+_MOTION = {"policy": "ours", "static_grasp": "static_grasp", "flat_rl": "flat_rl", "learned_motion": "learned_policy"}
 
 
 def motion_column(method: str, objects: Collection[str], targets: str) -> Column | None:
     """One row of the motion table, as metric -> {"average": value}; the paper has no numbers per object.
 
-    method: "policy" or "static_grasp". Metrics: mpe_m, geodesic_rad. None for other methods, for objects other than the
-    paper's six, and for targets other than "easy", the authors'.
+    method: "policy", "static_grasp", "flat_rl" or "learned_motion". Metrics: mpe_m, geodesic_rad. None for other
+    methods, for objects other than the paper's six, and for targets other than "easy", the authors'.
     """
     if method not in _MOTION or set(objects) != set(MOTION_OBJECTS) or targets != "easy":
         return None

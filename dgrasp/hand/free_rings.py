@@ -246,8 +246,9 @@ def _web_line() -> Array:
 def _drawn(builder: _Builder) -> Array:
     """(V, 3) m: the free vertices on the flesh, evenly spread, the opening's in its plane."""
     points, free = np.array(builder.points), np.flatnonzero(builder.free)
-    corners = [*builder.quads, *builder.triangles]
-    pairs = np.concatenate([np.stack([face, np.roll(face, -1)], axis=1) for face in corners])
+    pairs = np.concatenate(
+        [np.stack([face, np.roll(face, -1)], axis=1) for face in (*builder.quads, *builder.triangles)]
+    )
     edges = np.unique(np.sort(pairs, axis=1), axis=0)
     moves = np.ones((len(free), 3))
     moves[points[free, 0] == CUT, 0] = 0.0

@@ -6,7 +6,6 @@ import contextlib
 import hashlib
 import io
 import json
-import logging
 import re
 import struct
 import warnings
@@ -139,7 +138,9 @@ def _parse(suffix: str, raw: bytes) -> tuple[Array, Array]:
 @contextlib.contextmanager
 def _silence() -> Iterator[None]:
     """No remarks of the library on a damaged file: the error that follows says what the user needs."""
-    logger = logging.getLogger("trimesh")
+    import trimesh
+
+    logger = trimesh.util.log
     before, logger.disabled = logger.disabled, True
     try:
         with warnings.catch_warnings():

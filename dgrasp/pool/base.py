@@ -32,7 +32,9 @@ class WorkerLost(DGraspError):
 
 @dataclass(frozen=True)
 class PoolSpec:
-    """What a pool is made of: one environment per label. grasp: the frozen policy of task "motion"."""
+    """What a pool is made of: one environment per label. grasp: the frozen policy of task "motion", or the
+    one that says for "flat" which grasps are stable.
+    """
 
     labels: Sequence[GraspLabel]
     hand: HandModel

@@ -267,8 +267,12 @@ def _optimizer_state(checkpoint: Checkpoint, path: Path, model: ActorCritic) -> 
 
 
 def load_policy(path: Path) -> Policy:
+    """The deterministic policy of a checkpoint's file, on the CPU."""
+    return policy_of(load(path))
+
+
+def policy_of(checkpoint: Checkpoint) -> Policy:
     """The deterministic policy of a checkpoint, on the CPU."""
-    checkpoint = load(path)
     architecture = checkpoint.architecture
     observation_size, action_size = architecture["observation_size"], architecture["action_size"]
     actor = make_mlp([architecture["actor_size"], *architecture["hidden"], action_size])

@@ -27,6 +27,9 @@ from dgrasp.rl.progress import TrainingProgress
 CSV_NAME = "progress.csv"
 RETURN, TERMINATED, TRUNCATED = "train/return", "train/terminated", "train/truncated"
 SUCCESS, CONTACT_RATIO = "eval/success", "eval/contact_ratio"
+MPE, GEODESIC, CARRIED = "eval/mpe_m", "eval/geodesic_rad", "eval/carried"
+EVALUATED = {"grasp": (SUCCESS, CONTACT_RATIO), "motion": (MPE, GEODESIC, CARRIED), "flat": (MPE, GEODESIC, CARRIED)}
+"""By the `env.task`, what an evaluation is shown by."""
 STEPS_PER_SECOND, PHYSICS_SHARE, UPDATE_SHARE = "speed/steps_per_second", "speed/physics_share", "speed/update_share"
 LOST_WORKERS = "speed/lost_workers"
 WORKERS = "speed/workers"
@@ -55,9 +58,10 @@ class Log:
     ) -> None:
         self._run_dir, self._csv = run_dir, run_dir / CSV_NAME
         self._steps_per_epoch, self._epochs, self._seed = steps_per_epoch, config.ppo.epochs, config.seed
+        self._evaluated = EVALUATED[config.env.task]
         tags = [RETURN, TERMINATED, TRUNCATED, *(f"reward/{term}" for term in reward_terms)]
         tags += [*(f"ppo/{name}" for name in STATISTICS), STEPS_PER_SECOND, PHYSICS_SHARE, UPDATE_SHARE, LOST_WORKERS]
-        columns = [*_FIXED_COLUMNS, *map(_column, [*tags, SUCCESS, CONTACT_RATIO])]
+        columns = [*_FIXED_COLUMNS, *map(_column, [*tags, *self._evaluated])]
         with self._writing():
             rows = _rows_until(self._csv, resumed_epoch) if resumed_epoch else []
             self._columns = list(rows[0]) if rows else columns
@@ -65,7 +69,7 @@ class Log:
             self._core_hours_before = float(rows[-1].get("core_hours") or 0.0) if rows else 0.0
             atomic_write_bytes(self._csv, _csv_text(self._columns, rows, header=True).encode())
             self._events = EventFile(run_dir, purge_step=resumed_epoch + 1 if resumed_epoch else 0)
-            self._events.layout(_layout(reward_terms))
+            self._events.layout(_layout(reward_terms, self._evaluated))
             self._events.text("config", dump_config(config), resumed_epoch)
             self._events.text("data", json.dumps(data_stamp, indent=2), resumed_epoch)
             for row in rows:
@@ -164,8 +168,9 @@ class Log:
             self._events.flush()
         if SUCCESS in values:
             self._progress.success(values[SUCCESS])
-            known = {"success": SUCCESS, "contact ratio": CONTACT_RATIO, "return": RETURN}
-            text = ", ".join(f"{name} {values[tag]:.3f}" for name, tag in known.items() if tag in values)
+        if self._evaluated[0] in values:
+            known = [tag for tag in (*self._evaluated, RETURN) if tag in values]
+            text = ", ".join(f"{_column(tag).replace('_', ' ')} {values[tag]:.3f}" for tag in known)
             self.message(f"epoch {epoch}/{self._epochs}: {text}")
 
     def _success_by_cost(self, success: float, control_steps: int, core_hours: float) -> None:
@@ -189,12 +194,13 @@ class Log:
             ) from None
 
 
-def _layout(reward_terms: Sequence[str]) -> dict[str, dict[str, list[Any]]]:
+def _layout(reward_terms: Sequence[str], evaluated: Sequence[str]) -> dict[str, dict[str, list[Any]]]:
     """TensorBoard's custom page: the curves that matter first, then all reward terms."""
-    contact = [CONTACT_RATIO, *(f"reward/{term}" for term in reward_terms if "contact" in term)]
+    contact = [tag for tag in evaluated if tag == CONTACT_RATIO]
+    contact += [f"reward/{term}" for term in reward_terms if "contact" in term]
     return {
         "Training": {
-            "success": ["Multiline", [SUCCESS]],
+            **{_column(tag): ["Multiline", [tag]] for tag in evaluated if tag != CONTACT_RATIO},
             "return": ["Multiline", [RETURN]],
             "contact": ["Multiline", contact],
             "KL": ["Multiline", ["ppo/kl"]],

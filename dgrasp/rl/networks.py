@@ -38,6 +38,11 @@ def _copy(parameter: Tensor) -> Array:
     return array
 
 
+def _layers(network: nn.Module) -> tuple[tuple[Array, Array], ...]:
+    linear = [layer for layer in network.modules() if isinstance(layer, nn.Linear)]
+    return tuple((_copy(layer.weight), _copy(layer.bias)) for layer in linear)
+
+
 def make_mlp(sizes: list[int], dtype: torch.dtype = torch.float32) -> nn.Sequential:
     """Linear layers of the given sizes with LeakyReLU between them; the parameters are not initialised."""
     layers: list[nn.Module] = []
@@ -92,9 +97,7 @@ class ActorCritic(nn.Module):
 
     def actor_arrays(self, seed: int) -> Actor:
         """The policy as it is now, for collecting experience; `seed` is of its noise."""
-        linear = [layer for layer in self.actor if isinstance(layer, nn.Linear)]
-        arrays = tuple((_copy(layer.weight), _copy(layer.bias)) for layer in linear)
-        return Actor(arrays, _copy(self.std), seed)
+        return Actor(_layers(self.actor), _copy(self.std), seed)
 
     def evaluate(self, observation: Tensor, action: Tensor) -> Evaluated:
         """Judge actions (B, A) taken at observations (B, O), with gradients."""
@@ -164,9 +167,14 @@ class Policy:
         self, actor: nn.Module, observation_size: int, action_size: int, actor_size: int | None = None
     ) -> None:
         self._actor, self.observation_size, self.action_size = actor, observation_size, action_size
-        self._actor_size = actor_size or observation_size
+        self.actor_size = actor_size or observation_size
         parameter = next(actor.parameters())
         self._device, self._dtype = parameter.device, parameter.dtype
+
+    def arrays(self) -> Actor:
+        """The policy in plain numpy, float32, and without noise: for workers that have no torch."""
+        layers = tuple((w.astype(np.float32), b.astype(np.float32)) for w, b in _layers(self._actor))
+        return Actor(layers, np.zeros(self.action_size, np.float32), seed=0)
 
     @torch.no_grad()
     def act(self, observation: Array) -> Array:
@@ -176,6 +184,6 @@ class Policy:
                 f"the policy takes observations of shape (N, {self.observation_size}), got {observation.shape}; "
                 "use the features that it was trained with"
             )
-        inputs = torch.tensor(observation[:, : self._actor_size], dtype=self._dtype, device=self._device)
+        inputs = torch.tensor(observation[:, : self.actor_size], dtype=self._dtype, device=self._device)
         actions: Array = self._actor(inputs).cpu().numpy().astype(np.float32, copy=False)
         return actions

@@ -70,7 +70,7 @@ class Runner:
     ) -> None:
         self.env, self.config, self.run_dir, self.evaluate = env, config, run_dir, evaluate
         self.data_stamp = json.loads(json.dumps(data_stamp))
-        ppo, steps = config.ppo, config.env.episode_steps
+        ppo, steps = config.ppo, config.learned_steps
         if steps * env.num_envs < ppo.minibatches:
             raise ConfigError(
                 f"ppo.minibatches: {ppo.minibatches} are more than the {steps * env.num_envs} samples of an epoch"
@@ -130,7 +130,7 @@ class Runner:
         env, rollout = self.env, self.rollout
         actor = self.model.actor_arrays(self.config.seed)
         while True:
-            collected = env.collect(actor, epoch, self.config.env.episode_steps, lambda n: log.step(epoch, n))
+            collected = env.collect(actor, epoch, self.config.learned_steps, lambda n: log.step(epoch, n))
             log.events(epoch, env.drain_events())
             log.incidents(env.drain_incidents(), env.names)
             if collected.valid.any():
@@ -171,7 +171,7 @@ class Runner:
     @property
     def _steps_per_epoch(self) -> int:
         taking_part = min(self.env.num_envs, self.config.labels.per_epoch or self.env.num_envs)
-        return self.config.env.episode_steps * taking_part
+        return self.config.learned_steps * taking_part
 
     def _open_log(self) -> Log:
         return Log(

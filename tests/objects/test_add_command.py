@@ -5,13 +5,16 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
+from dgrasp.build import build_objects
 from dgrasp.cli import main, run_command
 from dgrasp.config import load_config
 from dgrasp.data import resolve
 from dgrasp.labels.native import write_native
+from dgrasp.objects.store import StoredObject
 from tests.cli.folder import make_folder
 from tests.objects.meshes import box, save
 from tests.scenes import free_hand, make_label
@@ -54,6 +57,20 @@ def test_from_a_mesh_to_a_result(tmp_path: Path, capsys: pytest.CaptureFixture[s
     choice = resolve(load_config(None, [f"data={data}", f"labels.source={tmp_path / 'my.npz'}"]))
     assert choice.added["carton"].folder == data / "objects" / "carton"
     assert "1 of them added: carton" in choice.describe()
+
+
+@pytest.mark.parametrize(
+    ("overrides", "parts"),
+    [([], False), (["physics.concave=parts"], True), (["physics.concave=mesh"], False), (["engine=mujoco"], True)],
+)
+def test_who_gets_parts_instead_of_triangles(
+    monkeypatch: pytest.MonkeyPatch, overrides: list[str], parts: bool
+) -> None:
+    asked = []
+    monkeypatch.setattr("dgrasp.build.load_object", lambda folder, compat, parts: asked.append((folder, compat, parts)))
+    choice = SimpleNamespace(labels=SimpleNamespace(objects=["cup"]), added={"cup": StoredObject(Path("x"), "cup-1")})
+    build_objects(choice, load_config(None, [*overrides, "physics.official_compat=false"]))
+    assert asked == [(Path("x"), False, parts)]
 
 
 def test_a_folder_adds_what_it_can(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

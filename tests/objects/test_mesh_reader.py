@@ -113,6 +113,7 @@ PLY = b"ply\nformat binary_little_endian 1.0\nelement vertex %d\nproperty float 
         ("a.stl", b"\0" * 50, "less than the header"),
         ("a.stl", b"\0" * 80 + struct.pack("<I", 2**32 - 1) + b"\0" * 50, "announces 4294967295 faces"),
         ("a.stl", b"solid x\nfacet normal 0 0 1\nouter loop\nvertex 0 0", "cannot be read|no faces"),
+        ("a.stl", b"solid x\nfacet normal 0 0 q\nouter loop\nvertex 0 0 0\nendloop", "cannot be read|no faces"),
         ("a.ply", PLY % 3_000_000_000, "announces 3000000004 rows"),
         ("a.ply", b"ply\nformat ascii 1.0\n", "cannot be read|no faces"),
         ("a.ply", b"no ply", "cannot be read"),
