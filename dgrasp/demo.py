@@ -19,14 +19,17 @@ from dgrasp.errors import ConfigError
 from dgrasp.eval import output
 from dgrasp.eval.method import PolicyMethod
 from dgrasp.eval.summary import Result
+from dgrasp.export.collect import display_meshes
 from dgrasp.paths import package_file
+from dgrasp.report.page import write_report
 from dgrasp.rl import checkpoint
 from dgrasp.test import evaluate_choice, write_gif
 from dgrasp.train import next_run, start_run, train
 
 HELP = """\
 Train briefly on the shipped hand, objects and labels, then test the policy beside the PD baseline.
-Leaves a run directory with checkpoints, TensorBoard events, results.json and grasps.gif.
+Leaves a run directory with checkpoints, TensorBoard events, and for both a report with replays in 3D (policy.html,
+gt_pd.html) and its numbers (.json), and grasps.gif.
 """
 
 
@@ -55,12 +58,13 @@ def main(arguments: argparse.Namespace) -> int:
         result, records, spec = evaluate_choice(method, config, choice)
         results[method.name] = result
         output.write_json(result, run_dir / f"{method.name}.json")
+        write_report(run_dir / f"{method.name}.html", result, records, display_meshes(choice, spec))
     write_gif(run_dir / "grasps.gif", records, spec)
     _print(results, config)
     # An environment that is not active is named by its folder, so that the lines can be typed as they are.
     bin_dir = "" if shutil.which("dgrasp") else os.path.relpath(Path(sys.executable).parent) + os.sep
     print(
-        f"\nlook at it:       {run_dir / 'grasps.gif'}; {bin_dir}tensorboard --logdir {run_dir.parent}\n"
+        f"\nlook at it:       {run_dir / 'policy.html'} in a browser; {bin_dir}tensorboard --logdir {run_dir.parent}\n"
         f"train longer:     {bin_dir}dgrasp train --cfg cfg/dexycb.yaml --data free\n"
         f"one object:       {bin_dir}dgrasp train --cfg cfg/dexycb.yaml --data free labels.objects=[004_sugar_box]\n"
         f"test it again:    {bin_dir}dgrasp test --run {run_dir} --split test\n"
