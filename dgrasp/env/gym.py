@@ -6,6 +6,7 @@ label per sub-environment and steps them together, in this process or in workers
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +18,6 @@ from dgrasp.build import build_spec
 from dgrasp.config import Config, load_config
 from dgrasp.data import resolve
 from dgrasp.errors import ConfigError
-from dgrasp.hand.skeleton import N_DOF
 from dgrasp.pool import PoolSpec, make_pool
 from dgrasp.types import Array, SceneState
 from dgrasp.view.frames import render_state
@@ -34,9 +34,9 @@ def _config(cfg: Config | str | Path | None, overrides: list[str] | None, kind: 
     return config.model_copy(update={"pool": config.pool.model_copy(update={"kind": kind})})
 
 
-def _spaces(observation_size: int) -> tuple[gymnasium.spaces.Box, gymnasium.spaces.Box]:
+def _spaces(observation_size: int, action_size: int) -> tuple[gymnasium.spaces.Box, gymnasium.spaces.Box]:
     observation = gymnasium.spaces.Box(-OBSERVATION_BOUND, OBSERVATION_BOUND, (observation_size,), np.float32)
-    action = gymnasium.spaces.Box(-ACTION_BOUND, ACTION_BOUND, (N_DOF,), np.float32)
+    action = gymnasium.spaces.Box(-ACTION_BOUND, ACTION_BOUND, (action_size,), np.float32)
     return observation, action
 
 
@@ -49,7 +49,7 @@ class GraspGymEnv(gymnasium.Env[Array, Array]):
 
     cfg: a `Config`, a YAML file, or None for the defaults; overrides: such as ["labels.objects=[004_sugar_box]"].
     label: index into the chosen labels. Observations are the feature layer's (float32), actions the residual
-    (51,), dimensionless. `info["reward_terms"]` holds the weighted terms by name.
+    (51,), of task motion (6,), dimensionless. `info["reward_terms"]` holds the weighted terms by name.
     """
 
     metadata = {"render_modes": ["rgb_array"], "render_fps": 35}  # noqa: RUF012
@@ -64,10 +64,10 @@ class GraspGymEnv(gymnasium.Env[Array, Array]):
         spec = _spec(_config(cfg, overrides, "serial"))
         if not 0 <= label < len(spec.labels):
             raise ConfigError(f"label {label}: there are {len(spec.labels)} labels, 0 to {len(spec.labels) - 1}")
-        self._spec = PoolSpec([spec.labels[label]], spec.hand, spec.objects, spec.config)
+        self._spec = replace(spec, labels=[spec.labels[label]])
         self.render_mode = render_mode
         self._pool = make_pool(self._spec)
-        self.observation_space, self.action_space = _spaces(self._pool.observation_size)
+        self.observation_space, self.action_space = _spaces(self._pool.observation_size, self._pool.action_size)
         self._episode = 0
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Array, dict[str, Any]]:
@@ -114,9 +114,10 @@ class GraspVectorEnv(gymnasium.vector.VectorEnv[Array, Array, Array]):
         spec = _spec(_config(cfg, overrides, pool))
         if not 1 <= num_envs <= len(spec.labels):
             raise ConfigError(f"num_envs {num_envs}: there is one environment per label, 1 to {len(spec.labels)}")
-        self._pool = make_pool(PoolSpec(spec.labels[:num_envs], spec.hand, spec.objects, spec.config))
+        self._pool = make_pool(replace(spec, labels=spec.labels[:num_envs]))
         self.num_envs = num_envs
-        self.single_observation_space, self.single_action_space = _spaces(self._pool.observation_size)
+        sizes = self._pool.observation_size, self._pool.action_size
+        self.single_observation_space, self.single_action_space = _spaces(*sizes)
         self.observation_space = gymnasium.vector.utils.batch_space(self.single_observation_space, num_envs)
         self.action_space = gymnasium.vector.utils.batch_space(self.single_action_space, num_envs)
         self.render_mode = None

@@ -33,7 +33,7 @@ DENSITY = 500.0
 """kg/m^3 where neither mass nor density is given: household objects are part hollow."""
 SURFACE_FACES = 20_000
 """At most so many triangles are kept of a mesh."""
-_VERSION = 1
+_VERSION = 2
 """Counts changes of what is made of the same file and choices."""
 _MADE = "made.json"
 _THIN = 2.0

@@ -34,8 +34,8 @@ Choice = Literal["auto", "box", "cylinder", "sphere", "capsule", "parts", "mesh"
 PRIMITIVES = ("box", "cylinder", "sphere", "capsule")
 OVERLAP = 0.9
 """Overlap from which a single primitive is taken."""
-PARTS_OVERLAP = 0.5
-"""Overlap from which convex parts are taken. Thin shells are far from it: their mesh collides then."""
+PARTS_OVERLAP = 0.55
+"""Overlap from which convex parts are taken. Thin shells and bars are below it: their mesh collides then."""
 COLLISION_FILE = "collision.obj"
 COLLISION_FACES = 500
 """So many triangles collide, or are cut into parts; more where a mesh of so few is no solid."""
