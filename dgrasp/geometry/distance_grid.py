@@ -68,9 +68,19 @@ def distance_grid(body: Body, pitch: float = PITCH, margin: float = MARGIN) -> D
     close = np.flatnonzero(distance < _FAR)
     for column in near[close].T:
         distance[close] = np.minimum(distance[close], triangle_distances(triangles[owner[column]], points[close]))
-    inside = winding_grid(vertices, faces, low, pitch, size) > 0
     values = distance.reshape(size)
-    return DistanceGrid(low, pitch, np.where(inside, -values, values))
+    return DistanceGrid(low, pitch, np.where(_inside(vertices, faces, low, pitch, size), -values, values))
+
+
+def _inside(vertices: Array, faces: Array, low: Array, pitch: float, size: tuple[int, int, int]) -> Array:
+    """(X, Y, Z) bool by rays along all three axes: one that runs along a sliver may be wrong, two are not."""
+    votes = np.zeros(size, int)
+    for axis in range(3):
+        order = [axis, (axis + 1) % 3, (axis + 2) % 3]
+        turned = (size[order[0]], size[order[1]], size[order[2]])
+        winding = winding_grid(vertices[:, order], faces, low[order], pitch, turned)
+        votes += (winding > 0).transpose(np.argsort(order))
+    return votes >= 2
 
 
 def triangle_distances(triangles: Array, points: Array) -> Array:

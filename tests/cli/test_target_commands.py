@@ -102,7 +102,8 @@ def test_wrong_use_is_one_message(folder, root, grasp, flat, capsys):
         assert message.startswith("error: ") and "Traceback" not in message
         return message
 
-    assert "train one: python train.py --cfg cfg/flat_rl.yaml" in " ".join(said("test", "--baseline", "flat_rl").split())
+    missing = " ".join(said("test", "--baseline", "flat_rl").split())
+    assert "train one: python train.py --cfg cfg/flat_rl.yaml" in missing
     assert "one of task grasp" in said("test", "--baseline", "flat_rl", "--run", grasp)
     assert "one of task flat" in said("test", "--baseline", "learned_motion", "--run", flat)
     assert "is of task flat" in said("test", "--policy", latest(flat))
