@@ -44,7 +44,7 @@ def test_the_static_grasp_alone_is_one_line(folder, tmp_path, capsys):
     for row in result["per_label"]:
         assert set(row) >= {"object", "index", "target", "mpe_m", "geodesic_rad", "carried"} and "success" not in row
     assert {"mpe_m", "geodesic_rad"} <= set(result["mean_over_objects"])
-    assert "motion to ood targets in 3 steps" in file.with_suffix(".md").read_text()
+    assert "motion: ood, 3 steps" in file.with_suffix(".md").read_text()
     assert "geodesic rad" in capsys.readouterr().out
     assert file.with_suffix(".csv").is_file() and file.with_suffix(".md").is_file()
 

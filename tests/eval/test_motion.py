@@ -134,7 +134,7 @@ def test_beside_the_papers_numbers() -> None:
     assert header == ["object", "n", "MPE m", "paper", "geodesic rad", "paper", "carried"]
     assert cells[-2] == ["mean over objects", "6", "0.100", "0.080", "0.20", "0.52", "1.00"]
     assert cells[0][3] == "", "the paper has no numbers per object"
-    assert title(ours) == "policy, mujoco, motion to easy targets in 300 steps, 6 motions of 6 labels"
+    assert title(ours) == "policy, mujoco, motion: easy, 300 steps, 6 motions of 6 labels"
     assert motion_column("policy", MOTION_OBJECTS[:5], "easy") is None
     assert motion_column("gt_pd", MOTION_OBJECTS, "easy") is None
 
