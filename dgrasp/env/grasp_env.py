@@ -14,14 +14,14 @@ from dgrasp.control.motion import Fingers, MotionSynthesis
 from dgrasp.env.features import FeatureLayer, Relations, relations
 from dgrasp.env.goal import make_goal
 from dgrasp.env.rewards import Reward
-from dgrasp.env.start import start_pose
+from dgrasp.env.start import start_pose, taking_part, with_noise
 from dgrasp.env.state import StepArrays, state_views
 from dgrasp.hand.model import HandModel
 from dgrasp.hand.skeleton import ACTION_SIZES, N_DOF
 from dgrasp.objects.model import ObjectModel
 from dgrasp.scene.scene import LOWERED_TOP, TABLE_TOP, Scene
 from dgrasp.types import Array, GraspLabel, StartPose
-from raisim_like.rotations import matrix_from_euler, matrix_from_quaternion
+from raisim_like.rotations import matrix_from_quaternion
 from raisim_like.world import integrate
 
 Mode = Literal["train", "test", "label"]
@@ -30,8 +30,6 @@ label: hand and object in the label's pose, no table (the baselines' start)."""
 
 MAX_SPEED, MAX_SPIN = 50.0, 1000.0
 """m/s and rad/s of the object, beyond which the simulation has exploded."""
-GOLDEN = 0.6180339887498949
-"""Steps of this share of a circle visit all of it evenly."""
 
 
 @dataclass
@@ -122,7 +120,8 @@ class GraspEnv:
                 self._rebuild(i)
             self._place(i)
         self.alive[:] = True
-        self.active[:] = self._drawn(epoch)
+        count = self.config.labels.per_epoch if mode == "train" else None
+        self.active[:] = taking_part(self.config.seed, epoch, count, self.indices, self.total)
         self._path = None
         self._derive(slice(None))
         # What the PD target is before the first action: a hand that is to hold its fingers may begin with it.
@@ -130,20 +129,6 @@ class GraspEnv:
         self._observe(self.o.observation)
         self.o.terminated[:], self.o.truncated[:] = False, False
         return self.o.observation
-
-    def _drawn(self, epoch: int) -> Array:
-        """(N,) bool: which environments take part in an epoch; the same draw in every process.
-
-        Every k-th label of the whole set from a start that walks through all: labels of an object stand side by
-        side, so that each epoch has its share of every object, and all labels take part equally often.
-        """
-        count = self.config.labels.per_epoch
-        if self.mode != "train" or count is None or count >= self.total:
-            return np.ones(self.num_envs, bool)
-        # The spawn key keeps it apart from the environments' own streams.
-        first = np.random.default_rng(np.random.SeedSequence([self.config.seed], spawn_key=(3,))).random()
-        start = (first + epoch * GOLDEN) % 1.0
-        return np.isin(self.indices, ((np.arange(count) + start) * (self.total / count)).astype(int))
 
     def _rebuild(self, i: int) -> None:
         """A world that exploded keeps its NaNs; only a new one is clean."""
@@ -158,7 +143,7 @@ class GraspEnv:
         else:
             start = self.starts[i]
             if self.mode == "train":
-                start = self._with_noise(start, self._rng[i])
+                start = with_noise(start, self.config.env.noise, self._rng[i])
         table_top = LOWERED_TOP if self.mode == "label" else TABLE_TOP
         scene.place(start.T_WH, start.hand_pose, start.T_WO, table_top)
         scene.set_gains(
@@ -177,15 +162,6 @@ class GraspEnv:
         hold = self.config.env.hold
         if self.mode == "train" and hold.first_step is not None:
             self._removal[i] = self._rng[i].integers(hold.first_step, hold.last_step + 1)
-
-    def _with_noise(self, start: StartPose, rng: np.random.Generator) -> StartPose:
-        noise = self.config.env.noise
-        T = start.T_WH.copy()
-        half = np.array([noise.wrist_xy, noise.wrist_xy, noise.wrist_z])
-        T[:3, 3] += rng.uniform(-half, half)
-        T[:3, :3] = T[:3, :3] @ matrix_from_euler(rng.uniform(-noise.wrist_angle, noise.wrist_angle, 3))
-        pose = start.hand_pose + rng.uniform(-noise.finger_angle, noise.finger_angle, 45)
-        return StartPose(T, start.T_WO, pose)
 
     # Step --------------------------------------------------------------------------------------
 

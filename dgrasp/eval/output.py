@@ -62,8 +62,8 @@ def print_table(result: Result, console: Console | None = None) -> None:
 def title(result: Result) -> str:
     """One line: method, engine, window or motion, number of labels."""
     if result.motion is not None:
-        return (f"{result.method}, {result.engine}, motion: {result.motion['targets']}, {result.motion['steps']} steps, "
-                f"{len(result.per_label)} motions of {result.n_labels} labels")
+        return (f"{result.method}, {result.engine}, motion: {result.motion['targets']}, {result.motion['steps']} "
+                f"steps, {len(result.per_label)} motions of {result.n_labels} labels")
     return f"{result.method}, {result.engine}, window {result.window_s:g} s, {result.n_labels} labels"
 
 

@@ -42,7 +42,7 @@ def test_a_division_by_cost_changes_no_bit(monkeypatch: pytest.MonkeyPatch, engi
         before = {k: v.copy() for k, v in vars(pool.collect(actor, 2, 65, lambda n: None)).items()}
         # The first label is told to have cost as much as the other two.
         told = pool._listen()
-        pool._spent[0] = [2.0, 1.0, 1.0]
+        pool._spent[:] = [[2e6, 1e6, 1e6], [100, 100, 100]]
         monkeypatch.setattr(pool, "_listen", lambda: told)
         after = pool.collect(actor, 2, 65, lambda n: None)
         assert pool._rows == [slice(0, 1), slice(1, 3)]

@@ -1,0 +1,281 @@
+"""Static grasps for any hand and object, synthesised: proposed, descended, sifted, given a start, and tried in physics.
+
+All are drawn from the generator that is passed in: the same seed gives the same labels on one machine.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from dgrasp.config import Config
+from dgrasp.env.grasp_env import GraspEnv
+from dgrasp.errors import ConfigError
+from dgrasp.geometry.distance_grid import distance_grid
+from dgrasp.geometry.intersection import body
+from dgrasp.geometry.shape_mesh import shape_mesh
+from dgrasp.hand.mano_model import Side
+from dgrasp.hand.model import HandModel
+from dgrasp.hand.motions import MOTIONS
+from dgrasp.hand.skeleton import N_DOF, THUMB_TIP_PART
+from dgrasp.labels.distance import CONTACT_DISTANCE
+from dgrasp.labels.synth_energy import Grasps, contact_points, optimise, overlaps, residual_wrench
+from dgrasp.labels.synth_start import LIFT, Setting, propose, rest_poses
+from dgrasp.labels.synth_torch import ObjectField, TorchHand, tensor
+from dgrasp.objects.model import ObjectModel
+from dgrasp.scene.scene import TABLE_TOP
+from dgrasp.types import Array, GraspLabel, StartPose
+from raisim_like.rotations import matrix_from_euler, transform
+
+SOURCE = "synthesised"
+MAX_DEPTH = 0.006
+"""m. No sphere of the hand is deeper in the object."""
+MAX_SELF_OVERLAP = 0.005
+"""m between two fingers."""
+TOUCHING = 0.001
+"""m. A pad this close to the object touches it."""
+HOLDING_SHARE = 0.4
+"""Share of an object's labels that hold by themselves under gt_pd, where that many are found."""
+BATCH, _ROUNDS = 96, 6
+_CHECKED_PER_LABEL = 2.0
+DRAWN_BACK = (0.10, 0.15)
+"""m between the wrist at the start and at the grasp."""
+START_CLEARANCE, PATH_OVERLAP = 0.03, 0.004
+"""m from the hand at the start to object and table, and how far the open hand may graze the object on its way."""
+_START_TURN, _START_DRAWS = 0.12, 16
+_OPENED = np.radians(20.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Synthesised:
+    """Labels of one object and what is known of them, each (N,): held: under gt_pd. quality: by geometry alone, higher
+    is better. depth: m, the deepest sphere. touching: parts whose pad touches."""
+
+    labels: list[GraspLabel]
+    held: Array
+    quality: Array
+    depth: Array
+    touching: Array
+
+
+@dataclass(frozen=True, eq=False)
+class _Found:
+    """Sound grasps: in O, the object's poses at rest and at the grasp, and figures."""
+
+    grasps: Grasps
+    rest: Array
+    T_WO: Array
+    quality: Array
+    depth: Array
+    touching: Array
+    apart: Array
+    """(N, 16) m between parts and object."""
+
+    def take(self, rows: Array) -> _Found:
+        values = {name: value[rows] for name, value in vars(self).items() if name != "grasps"}
+        return _Found(grasps=self.grasps.take(torch.as_tensor(rows)), **values)
+
+    def __len__(self) -> int:
+        return len(self.rest)
+
+
+class Synthesiser:
+    """Makes grasps of one hand. side: which hand it is; it stands in MANO's wrist frame."""
+
+    def __init__(self, hand: HandModel, side: Side = "right") -> None:
+        self.hand = hand
+        self.torch_hand = TorchHand(hand, side)
+        self.thumb_side = float(np.sign(self.torch_hand.model.offsets[13, 2]))
+
+    def make(
+        self, model: ObjectModel, count: int, rng: np.random.Generator, config: Config, batch: int = BATCH,
+        iterations: int | None = None,
+    ) -> Synthesised:
+        """`count` diverse labels of an object; some hold under gt_pd in `config.engine`, others are left to be learned.
+
+        Raises `ConfigError` where too few sound grasps are found.
+        """
+        torch.manual_seed(0)
+        setting = make_setting(model)
+        wanted = round(_CHECKED_PER_LABEL * count)
+        found: list[tuple[_Found, list[StartPose]]] = []
+        for _ in range(_ROUNDS):
+            found.append(self._round(setting, rng, batch, iterations))
+            if sum(len(starts) for _, starts in found) >= wanted:
+                break
+        parts, starts = _join([part for part, _ in found]), [one for _, some in found for one in some]
+        if len(starts) < count:
+            raise ConfigError(f"{model.name}: found {len(starts)} sound grasps of {count}; ask for fewer, or change "
+                              "the seed")
+        order = _farthest_first(self._features(parts), parts.quality, min(wanted, len(starts)))
+        labels = self._labels(model.name, parts.take(order), [starts[i] for i in order])
+        held = gt_pd_holds(labels, self.hand, model, config)
+        chosen = order_of_both(held, count)
+        rows = order[chosen]
+        return Synthesised([labels[i] for i in chosen], held[chosen], parts.quality[rows], parts.depth[rows],
+                           parts.touching[rows])
+
+    def _round(
+        self, setting: Setting, rng: np.random.Generator, batch: int, iterations: int | None
+    ) -> tuple[_Found, list[StartPose]]:
+        """The sound grasps of one batch that have a free start."""
+        rest = rest_poses(setting, rng, batch)
+        T_WO = rest.copy()
+        T_WO[:, 2, 3] += rng.uniform(0.0, LIFT, batch)
+        proposed = propose(self.torch_hand, setting, T_WO, rng, self.thumb_side)
+        center = setting.model.center_of_mass_O
+        extra = {} if iterations is None else {"iterations": iterations}
+        grasps, _ = optimise(self.torch_hand, setting.field, proposed, center, self.thumb_side, **extra)
+        found = self._sound(setting, grasps, rest, T_WO)
+        starts, free = self._starts(setting, found, rng)
+        return found.take(np.flatnonzero(free)), [starts[i] for i in np.flatnonzero(free)]
+
+    @torch.no_grad()
+    def _sound(self, setting: Setting, grasps: Grasps, rest: Array, T_WO: Array) -> _Found:
+        """The grasps that neither penetrate nor miss, with their figures."""
+        hand, field = self.torch_hand, setting.field
+        posed = hand.forward(grasps.R, grasps.t, hand.clipped(hand.pose(grasps.motions)))
+        distance = field.distance(posed.centers) - hand.radii
+        height = (posed.centers @ grasps.up[..., None])[..., 0] + grasps.over[:, None] - hand.radii
+        point, gap, normal = contact_points(hand, field, hand.pad_points(posed))
+        touching = gap < TOUCHING
+        force, torque = _best_wrench(point, normal, touching, tensor(setting.model.center_of_mass_O))
+        depth = -distance.amin(1)
+        fingers = touching[:, 1:13].reshape(-1, 4, 3).any(2).sum(1)
+        thumb = touching[:, 13:].any(1)
+        tilt = self.thumb_side * (grasps.R[:, :, 2] * grasps.up).sum(1)
+        sound = (
+            (depth < MAX_DEPTH) & (height.amin(1) > 0.0) & thumb & (fingers >= 2) & (tilt > -0.5)
+            & (overlaps(hand, posed.centers).amax((1, 2)) < MAX_SELF_OVERLAP)
+        )  # fmt: skip
+        quality = -(force.norm(dim=1) + 0.5 * torque.norm(dim=1)) + 0.05 * touching.sum(1)
+        rows = np.flatnonzero(sound.numpy())
+        figures = (quality, depth, touching.sum(1), hand.per_part(distance))
+        return _Found(grasps, rest, T_WO, *(value.numpy() for value in figures)).take(rows)
+
+    @torch.no_grad()
+    def _starts(self, setting: Setting, found: _Found, rng: np.random.Generator) -> tuple[list[StartPose], Array]:
+        """Wrists drawn back from the grasps with opened fingers, and (N,) whether start and way are free."""
+        n, hand, g = len(found), self.torch_hand, found.grasps
+        if n == 0:
+            return [], np.zeros(0, bool)
+        pose = hand.clipped(hand.pose(self._opened(g.motions)))
+        R_WO, R_OH = found.T_WO[:, :3, :3], g.R.numpy().astype(float)
+        T_WH = found.T_WO @ transform(R_OH, g.t.numpy().astype(float))
+        # Away from what is held: from the middle of the fingers' tips to the wrist.
+        tips = hand.tips(hand.forward(g.R, g.t, hand.pose(g.motions))).mean(1).numpy()
+        away = np.matmul(R_WO, (g.t.numpy() - tips)[..., None])[..., 0]
+        away /= np.linalg.norm(away, axis=1, keepdims=True)
+        starts, done = T_WH.copy(), np.zeros(n, bool)
+        for _ in range(_START_DRAWS):
+            back = away + rng.normal(0.0, 0.25, (n, 3))
+            back[:, 2] += rng.uniform(0.0, 1.2, n)
+            back *= rng.uniform(*DRAWN_BACK, (n, 1)) / np.linalg.norm(back, axis=1, keepdims=True)
+            start = T_WH.copy()
+            start[:, :3, 3] += back
+            start[:, :3, :3] = start[:, :3, :3] @ matrix_from_euler(rng.uniform(-_START_TURN, _START_TURN, (n, 3)))
+            free = self._clearance(setting, found.rest, start, pose) > START_CLEARANCE
+            for share in (0.75, 0.5, 0.25, 0.0):
+                way = T_WH.copy()
+                way[:, :3, 3] += share * back
+                free &= self._clearance(setting, found.rest, way, pose) > -PATH_OVERLAP
+            starts[free & ~done] = start[free & ~done]
+            done |= free
+        opened = pose.numpy().astype(float)
+        return [StartPose(starts[i], found.rest[i], opened[i]) for i in range(n)], done
+
+    def _opened(self, motions: Tensor) -> Tensor:
+        """The motions with all flexions undone by 20 degrees."""
+        change = [0.0 if name.endswith(("spread", "twist", "lift")) else -_OPENED for name in MOTIONS]
+        return motions + tensor(np.array(change))
+
+    def _clearance(self, setting: Setting, T_WO: Array, T_WH: Array, pose: Tensor) -> Array:
+        """(N,) m between the hand and the object, or the table."""
+        T_OH = np.linalg.inv(T_WO) @ T_WH
+        hand = self.torch_hand
+        centers = hand.forward(tensor(T_OH[:, :3, :3]), tensor(T_OH[:, :3, 3]), pose).centers
+        distance = setting.field.distance(centers) - hand.radii
+        up, over = tensor(T_WO[:, 2, :3]), tensor(T_WO[:, 2, 3] - TABLE_TOP)
+        height = (centers @ up[..., None])[..., 0] + over[:, None] - hand.radii
+        return np.asarray(torch.minimum(distance, height).amin(1).numpy())
+
+    @torch.no_grad()
+    def _features(self, found: _Found) -> Array:
+        """(N, 63) m: the 21 key points in O, in which grasps are told apart."""
+        g, hand = found.grasps, self.torch_hand
+        posed = hand.forward(g.R, g.t, hand.clipped(hand.pose(g.motions)))
+        return np.asarray(torch.cat([posed.t, hand.tips(posed)], 1).reshape(len(found), -1).numpy())
+
+    def _labels(self, name: str, found: _Found, starts: list[StartPose]) -> list[GraspLabel]:
+        g = found.grasps
+        pose = np.clip(self.torch_hand.pose(g.motions).numpy().astype(float), *self.hand.limits[6:].T)
+        T_WH = found.T_WO @ transform(_orthonormal(g.R.numpy().astype(float)), g.t.numpy().astype(float))
+        gc = np.concatenate([np.zeros((len(found), N_DOF - 45)), pose], axis=1)
+        _, joints = self.hand.forward(gc, T_WH[:, :3, :3], T_WH[:, :3, 3])
+        return [
+            GraspLabel(name, pose[i], T_WH[i], found.T_WO[i], joints[i], found.apart[i] < CONTACT_DISTANCE, starts[i],
+                       self.hand.id, SOURCE, i)
+            for i in range(len(found))
+        ]  # fmt: skip
+
+
+def make_setting(model: ObjectModel) -> Setting:
+    """The object's collision shapes, united, and their distance field."""
+    united = body([shape_mesh(shape) for shape in model.shapes])
+    return Setting(model, united, ObjectField(distance_grid(united)))
+
+
+def gt_pd_holds(labels: list[GraspLabel], hand: HandModel, model: ObjectModel, config: Config) -> Array:
+    """(N,) bool: success of the baseline gt_pd: the object stays in the hand for the test's window."""
+    env = GraspEnv(labels, hand, {model.name: model}, config)
+    env.reset(mode="label")
+    still = np.zeros((len(labels), N_DOF))
+    for _ in range(round(config.eval.window_s / config.control_period)):
+        env.step(still)
+        # What has fallen needs no more physics.
+        env.alive &= ~env.s.table_contact.astype(bool) & (env.s.object_pos_W[:, 2] > 0.1)
+    holds = env.alive.copy()
+    env.close()
+    return holds
+
+
+def order_of_both(held: Array, count: int) -> Array:
+    """(count,) rows: up to `HOLDING_SHARE` of those that hold, the rest of the others, each kind in its order; more of
+    either where the other lacks them."""
+    good, bad = np.flatnonzero(held), np.flatnonzero(~held)
+    n_good = max(min(len(good), round(HOLDING_SHARE * count)), count - len(bad))
+    return np.sort(np.concatenate([good[:n_good], bad[: count - n_good]]))
+
+
+def _best_wrench(point: Tensor, normal: Tensor, touching: Tensor, center: Tensor) -> tuple[Tensor, Tensor]:
+    """The residual wrench of the touching parts, thumb and fingers pressing alike."""
+    shares = torch.zeros(touching.shape)
+    shares[:, THUMB_TIP_PART] = torch.log((touching.sum(1) - touching[:, THUMB_TIP_PART].float()).clamp_min(1.0))
+    safe = touching.clone()
+    safe[:, THUMB_TIP_PART] = True
+    return residual_wrench(point, normal, shares, safe, center)
+
+
+def _farthest_first(features: Array, quality: Array, count: int) -> Array:
+    """(count,) rows, each as far as may be from those before it, the best first."""
+    order = [int(quality.argmax())]
+    apart = np.linalg.norm(features - features[order[0]], axis=1)
+    while len(order) < count:
+        order.append(int(apart.argmax()))
+        apart = np.minimum(apart, np.linalg.norm(features - features[order[-1]], axis=1))
+        apart[order] = -1.0
+    return np.array(order)
+
+
+def _orthonormal(R: Array) -> Array:
+    u, _, v = np.linalg.svd(R)
+    return np.asarray(u @ v)
+
+
+def _join(parts: list[_Found]) -> _Found:
+    names = [name for name in vars(parts[0]) if name != "grasps"]
+    grasps = Grasps(**{k: torch.cat([vars(p.grasps)[k] for p in parts]) for k in vars(parts[0].grasps)})
+    return _Found(grasps=grasps, **{k: np.concatenate([vars(p)[k] for p in parts]) for k in names})
