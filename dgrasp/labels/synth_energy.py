@@ -12,14 +12,14 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from dgrasp.hand.skeleton import N_PARTS
+from dgrasp.hand.skeleton import N_PARTS, THUMB_TIP_PART
 from dgrasp.hand.skinning import axis_angle_rotations
 from dgrasp.labels.synth_torch import ObjectField, TorchHand, tensor
 from dgrasp.types import Array
 
-PRESS = 0.002
+PRESS = 0.003
 """m that a pad is wanted to be in the object: a controller that holds the label's pose presses by it."""
-TOLERATED = 0.003
+TOLERATED = 0.0045
 """m of penetration that costs nothing."""
 TABLE_CLEARANCE = 0.003
 """m between hand and table."""
@@ -70,8 +70,11 @@ def energies(
     point, distance, normal = contact_points(hand, field, hand.pad_points(posed))
     wanted = grasps.wanted.float()
     count = wanted.sum(1)
-    gap = (distance + PRESS) / 0.003
-    contact = (wanted * (torch.sqrt(1.0 + gap * gap) - 1.0)).sum(1) / count
+    gap = (distance + PRESS) / 0.002
+    # The thumb is alone on its side.
+    weight = wanted.clone()
+    weight[:, THUMB_TIP_PART] *= count - 1.0
+    contact = (weight * (torch.sqrt(1.0 + gap * gap) - 1.0)).sum(1) / count
     palmar = (posed.R @ hand.palmar[..., None])[..., 0]
     facing = (wanted * torch.relu(0.7 + (palmar * normal).sum(-1)) ** 2).sum(1)
     force, torque = residual_wrench(point, normal, shares, grasps.wanted, center)
