@@ -7,8 +7,9 @@ is the residual wrench of forces along the contacts' normals, whose shares are o
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -17,16 +18,17 @@ from dgrasp.hand.skinning import axis_angle_rotations
 from dgrasp.labels.synth_torch import ObjectField, TorchHand, tensor
 from dgrasp.types import Array
 
-PRESS = 0.003
-"""m that a pad is wanted to be in the object: a controller that holds the label's pose presses by it."""
-TOLERATED = 0.0045
+PRESS = 0.0015
+"""m that a pad is wanted to be in the object, as soft flesh is."""
+TOLERATED = 0.003
 """m of penetration that costs nothing."""
 TABLE_CLEARANCE = 0.003
 """m between hand and table."""
 _SELF_TOLERATED = 0.002
 _ARM = 0.04
 """m, the lever that makes torques comparable with forces."""
-_ITERATIONS = 220
+ITERATIONS = 140
+"""Steps of the descent; half as many follow once joints have yielded."""
 _RATES = {"t": 0.0020, "w": 0.025, "motions": 0.025, "shares": 0.1}
 WEIGHTS = {"contact": 1.0, "facing": 2.0, "closure": 15.0, "penetration": 0.6, "self": 0.5, "table": 0.6,
            "limits": 1.0, "prior": 0.06, "upright": 4.0}  # fmt: skip
@@ -39,7 +41,8 @@ class Grasps:
     """B hands about one object, in its frame O; tensors.
 
     R (B, 3, 3), t (B, 3) m: wrists. motions (B, 21) rad. wanted (B, 16) bool: the parts that are to touch.
-    up (B, 3), over (B,): the table; a point x is up @ x + over m above it.
+    up (B, 3), over (B,): the table; a point x is up @ x + over m above it. yields (B, 45) bool, angles (B, 45) rad:
+    joints that the object's pressure has turned to an angle beyond their limits, and which the motions do not move.
     """
 
     R: Tensor
@@ -48,6 +51,12 @@ class Grasps:
     wanted: Tensor
     up: Tensor
     over: Tensor
+    yields: Tensor
+    angles: Tensor
+
+    def pose(self, hand: TorchHand) -> Tensor:
+        """(B, 45) joint angles, within the limits but for the joints that yield."""
+        return torch.where(self.yields, self.angles, hand.clipped(hand.pose(self.motions)))
 
     def take(self, rows: Tensor) -> Grasps:
         """These rows."""
@@ -65,7 +74,7 @@ def energies(
     thumb_side: 1 for a right hand, whose z axis points to the thumb's side, -1 for the other.
     """
     pose = hand.pose(grasps.motions)
-    posed = hand.forward(grasps.R, grasps.t, pose)
+    posed = hand.forward(grasps.R, grasps.t, torch.where(grasps.yields, grasps.angles, pose))
     depth = hand.radii - field.distance(posed.centers)
     point, distance, normal = contact_points(hand, field, hand.pad_points(posed))
     wanted = grasps.wanted.float()
@@ -79,7 +88,7 @@ def energies(
     facing = (wanted * torch.relu(0.7 + (palmar * normal).sum(-1)) ** 2).sum(1)
     force, torque = residual_wrench(point, normal, shares, grasps.wanted, center)
     height = (posed.centers @ grasps.up[..., None])[..., 0] + grasps.over[:, None] - hand.radii
-    limits = torch.relu(hand.limits[0] - pose) + torch.relu(pose - hand.limits[1])
+    limits = ~grasps.yields * (torch.relu(hand.limits[0] - pose) + torch.relu(pose - hand.limits[1]))
     white = (grasps.motions - tensor(hand.motions.mean)) @ tensor(hand.motions.whiten.T)
     tilt = thumb_side * (grasps.R[:, :, 2] * grasps.up).sum(1)
     return {
@@ -129,7 +138,7 @@ def overlaps(hand: TorchHand, centers: Tensor) -> Tensor:
 
 
 def optimise(
-    hand: TorchHand, field: ObjectField, grasps: Grasps, center: Array, thumb_side: float, iterations: int = _ITERATIONS
+    hand: TorchHand, field: ObjectField, grasps: Grasps, center: Array, thumb_side: float, iterations: int = ITERATIONS
 ) -> tuple[Grasps, dict[str, Tensor]]:
     """The grasps after a descent of all energies together, joint angles clipped to the limits, and their terms."""
     middle = tensor(center)
@@ -142,7 +151,7 @@ def optimise(
 
     def current() -> Grasps:
         R = grasps.R @ axis_angle_rotations(w)
-        return Grasps(R, t, motions, grasps.wanted, grasps.up, grasps.over)
+        return replace(grasps, R=R, t=t, motions=motions)
 
     for _ in range(iterations):
         adam.zero_grad()
@@ -156,6 +165,40 @@ def optimise(
         adam.step()
         slower.step()
     with torch.no_grad():
-        R = grasps.R @ axis_angle_rotations(w)
-        found = Grasps(R, t.detach(), motions.detach(), grasps.wanted, grasps.up, grasps.over)
+        found = current()
+        found = replace(found, t=t.detach(), motions=motions.detach())
         return found, energies(hand, field, found, shares, middle, thumb_side)
+
+
+YIELD_DEG = (1.5, 7.0)
+"""How far a joint that yields is beyond its limit."""
+_THUMB_YIELDS, _FINGERS_YIELD = 0.75, 0.6
+"""Shares of the grasps."""
+_LEVER = 0.008
+"""m by which a joint that yields moves its pads away from the object, per rad."""
+_FARTHEST = math.radians(45.0)
+"""A joint this far within its limit does not reach it."""
+
+
+def let_yield(hand: TorchHand, field: ObjectField, grasps: Grasps, rng: np.random.Generator) -> Grasps:
+    """The grasps, in most of them a joint of the thumb or of each touching finger turned beyond its limits by pressure.
+
+    Of a finger's joint angles it is the one nearest to that limit towards which its pads leave the object. Soft hands
+    yield like that, and recorded grasps leave the limits too. A controller whose targets stop at the limits closes such
+    a joint, and so grasps; one whose target is where the hand is presses on nothing.
+    """
+    pose = grasps.pose(hand).requires_grad_()
+    posed = hand.forward(grasps.R, grasps.t, pose)
+    _, distance, _ = contact_points(hand, field, hand.pad_points(posed))
+    lever = torch.autograd.grad((distance * grasps.wanted).sum(), pose)[0]
+    with torch.no_grad():
+        opening = lever.sign()
+        limit = torch.where(opening > 0, hand.limits[1], hand.limits[0])
+        room = ((limit - pose) * opening).masked_fill(lever.abs() < _LEVER, torch.inf)
+        nearest, joint = room.reshape(-1, 5, 9).min(2)
+        n = len(grasps)
+        draws = torch.as_tensor(rng.uniform(size=(n, 2)) < (_FINGERS_YIELD, _THUMB_YIELDS))
+        chosen = torch.cat([draws[:, :1].expand(-1, 4), draws[:, 1:]], 1) & (nearest < _FARTHEST)
+        yields = torch.zeros(n, 5, 9, dtype=torch.bool).scatter_(2, joint[..., None], chosen[..., None]).reshape(n, -1)
+        beyond = tensor(np.radians(rng.uniform(*YIELD_DEG, (n, 1))))
+        return replace(grasps, yields=yields, angles=torch.where(yields, limit + opening * beyond, grasps.angles))

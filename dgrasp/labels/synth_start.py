@@ -90,7 +90,7 @@ def propose(
     up = R_WO[:, 2]
     over = np.repeat(T_WO[:, 2, 3] - TABLE_TOP, _CANDIDATES)
     grasps = Grasps(tensor(R_OH), tensor(t_OH), tensor(motions), torch.zeros(n, N_PARTS, dtype=torch.bool),
-                    tensor(up), tensor(over))  # fmt: skip
+                    tensor(up), tensor(over), torch.zeros(n, 45, dtype=torch.bool), torch.zeros(n, 45))  # fmt: skip
     with torch.no_grad():
         centers = hand.forward(grasps.R, grasps.t, hand.pose(grasps.motions)).centers
         depth = torch.relu(hand.radii - setting.field.distance(centers)).sum(1)

@@ -22,7 +22,15 @@ from dgrasp.hand.model import HandModel
 from dgrasp.hand.motions import MOTIONS
 from dgrasp.hand.skeleton import N_DOF, THUMB_TIP_PART
 from dgrasp.labels.distance import CONTACT_DISTANCE
-from dgrasp.labels.synth_energy import Grasps, contact_points, optimise, overlaps, residual_wrench
+from dgrasp.labels.synth_energy import (
+    ITERATIONS,
+    Grasps,
+    contact_points,
+    let_yield,
+    optimise,
+    overlaps,
+    residual_wrench,
+)
 from dgrasp.labels.synth_start import LIFT, Setting, propose, rest_poses
 from dgrasp.labels.synth_torch import ObjectField, TorchHand, tensor
 from dgrasp.objects.model import ObjectModel
@@ -92,7 +100,7 @@ class Synthesiser:
 
     def make(
         self, model: ObjectModel, count: int, rng: np.random.Generator, config: Config, batch: int = BATCH,
-        iterations: int | None = None,
+        iterations: int = ITERATIONS,
     ) -> Synthesised:
         """`count` diverse labels of an object; some hold under gt_pd in `config.engine`, others are left to be learned.
 
@@ -119,7 +127,7 @@ class Synthesiser:
                            parts.touching[rows])
 
     def _round(
-        self, setting: Setting, rng: np.random.Generator, batch: int, iterations: int | None
+        self, setting: Setting, rng: np.random.Generator, batch: int, iterations: int
     ) -> tuple[_Found, list[StartPose]]:
         """The sound grasps of one batch that have a free start."""
         rest = rest_poses(setting, rng, batch)
@@ -127,8 +135,10 @@ class Synthesiser:
         T_WO[:, 2, 3] += rng.uniform(0.0, LIFT, batch)
         proposed = propose(self.torch_hand, setting, T_WO, rng, self.thumb_side)
         center = setting.model.center_of_mass_O
-        extra = {} if iterations is None else {"iterations": iterations}
-        grasps, _ = optimise(self.torch_hand, setting.field, proposed, center, self.thumb_side, **extra)
+        hand, field = self.torch_hand, setting.field
+        grasps, _ = optimise(hand, field, proposed, center, self.thumb_side, iterations)
+        yielding = let_yield(hand, field, grasps, rng)
+        grasps, _ = optimise(hand, field, yielding, center, self.thumb_side, max(1, iterations // 2))
         found = self._sound(setting, grasps, rest, T_WO)
         starts, free = self._starts(setting, found, rng)
         return found.take(np.flatnonzero(free)), [starts[i] for i in np.flatnonzero(free)]
@@ -137,7 +147,7 @@ class Synthesiser:
     def _sound(self, setting: Setting, grasps: Grasps, rest: Array, T_WO: Array) -> _Found:
         """The grasps that neither penetrate nor miss, with their figures."""
         hand, field = self.torch_hand, setting.field
-        posed = hand.forward(grasps.R, grasps.t, hand.clipped(hand.pose(grasps.motions)))
+        posed = hand.forward(grasps.R, grasps.t, grasps.pose(hand))
         distance = field.distance(posed.centers) - hand.radii
         height = (posed.centers @ grasps.up[..., None])[..., 0] + grasps.over[:, None] - hand.radii
         point, gap, normal = contact_points(hand, field, hand.pad_points(posed))
@@ -166,7 +176,7 @@ class Synthesiser:
         R_WO, R_OH = found.T_WO[:, :3, :3], g.R.numpy().astype(float)
         T_WH = found.T_WO @ transform(R_OH, g.t.numpy().astype(float))
         # Away from what is held: from the middle of the fingers' tips to the wrist.
-        tips = hand.tips(hand.forward(g.R, g.t, hand.pose(g.motions))).mean(1).numpy()
+        tips = hand.tips(hand.forward(g.R, g.t, g.pose(hand))).mean(1).numpy()
         away = np.matmul(R_WO, (g.t.numpy() - tips)[..., None])[..., 0]
         away /= np.linalg.norm(away, axis=1, keepdims=True)
         starts, done = T_WH.copy(), np.zeros(n, bool)
@@ -206,12 +216,14 @@ class Synthesiser:
     def _features(self, found: _Found) -> Array:
         """(N, 63) m: the 21 key points in O, in which grasps are told apart."""
         g, hand = found.grasps, self.torch_hand
-        posed = hand.forward(g.R, g.t, hand.clipped(hand.pose(g.motions)))
+        posed = hand.forward(g.R, g.t, g.pose(hand))
         return np.asarray(torch.cat([posed.t, hand.tips(posed)], 1).reshape(len(found), -1).numpy())
 
     def _labels(self, name: str, found: _Found, starts: list[StartPose]) -> list[GraspLabel]:
         g = found.grasps
-        pose = np.clip(self.torch_hand.pose(g.motions).numpy().astype(float), *self.hand.limits[6:].T)
+        # The limits are float64: what lies within them must not leave them by rounding.
+        pose = g.pose(self.torch_hand).numpy().astype(float)
+        pose = np.where(g.yields.numpy(), pose, np.clip(pose, *self.hand.limits[6:].T))
         T_WH = found.T_WO @ transform(_orthonormal(g.R.numpy().astype(float)), g.t.numpy().astype(float))
         gc = np.concatenate([np.zeros((len(found), N_DOF - 45)), pose], axis=1)
         _, joints = self.hand.forward(gc, T_WH[:, :3, :3], T_WH[:, :3, 3])
