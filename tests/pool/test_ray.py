@@ -22,7 +22,8 @@ from dgrasp.types import Array
 from tests.scenes import make_spec
 
 ray = pytest.importorskip("ray")
-QUICK = ["env.episode_steps=65", "physics.substeps=2", "pool.kind=ray", "pool.workers=2"]
+QUICK = ["env.episode_steps=65", "physics.substeps=2", "pool.kind=ray", "pool.workers=2",
+         "pool.patience=1e3"]  # fmt: skip
 
 
 @pytest.fixture(scope="module")
@@ -106,7 +107,7 @@ def test_a_run_with_a_killed_actor_makes_all_its_updates(cluster: str, tmp_path:
 
 
 def test_a_late_actor_is_left_behind_and_comes_back(cluster: str) -> None:
-    pool = make_pool(make_spec(3, [*QUICK, "pool.patience=2.0"]))
+    pool = make_pool(make_spec(3, [*QUICK[:-1], "pool.patience=2.0"]))
     reference = _collected(pool, 4)
     sleeper = ray.get(pool._actors[0].process_id.remote())  # type: ignore[attr-defined]
     os.kill(sleeper, signal.SIGSTOP)
