@@ -26,7 +26,7 @@ class CatalogueObject:
     id: its DexYCB id. mass_ycb, mass_official: kg as YCB publishes it, and as the authors simulate it.
     extents: (x, y, z) m of the bounding box, in the axes of the free set's object frame.
     collision: the authors' collision shape in the object frame O; a file is relative to the object's folder.
-    thin: its walls or bars are thinner than what convex parts leave of them (docs/physics.md, "Objects in physics").
+    thin: less than 0.8 of its volume and its convex parts' is in both (docs/physics.md, "Objects in physics").
     """
 
     id: int
@@ -67,7 +67,7 @@ CATALOGUE = (
     CatalogueObject(11, "019_pitcher_base", 0.178, 0.178, (0.148, 0.144, 0.242), _CONCAVE),
     CatalogueObject(12, "021_bleach_cleanser", 1.131, 0.302, (0.103, 0.068, 0.251), _CONCAVE),
     CatalogueObject(13, "024_bowl", 0.147, 0.147, (0.160, 0.160, 0.056), _CONCAVE, thin=True),
-    CatalogueObject(14, "025_mug", 0.118, 0.118, (0.115, 0.092, 0.081), _CONCAVE),
+    CatalogueObject(14, "025_mug", 0.118, 0.118, (0.115, 0.092, 0.081), _CONCAVE, thin=True),
     CatalogueObject(15, "035_power_drill", 0.895, 0.895, (0.184, 0.187, 0.056), _CONCAVE),
     CatalogueObject(16, "036_wood_block", 0.729, 0.729, (0.085, 0.085, 0.200), _ALIGNED),
     CatalogueObject(17, "037_scissors", 0.082, 0.082, (0.095, 0.201, 0.016), _CONCAVE),
