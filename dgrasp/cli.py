@@ -23,6 +23,7 @@ COMMANDS = {
     "labels import dexycb": "dgrasp.labels.import_dexycb",
     "labels import ho3d": "dgrasp.labels.import_ho3d",
     "labels import mano": "dgrasp.labels.import_mano",
+    "labels make": "dgrasp.labels.make_command",
     "labels check": "dgrasp.labels.check",
 }
 """Each command's module: `HELP`, `add_arguments` and `main`."""
@@ -41,7 +42,8 @@ commands:
   export   stored sequences as arrays, GLB animations, GIF or mp4
   hand     build: a physics hand from a MANO file or the free skin; report: compare hands
   object   add: objects for the physics from mesh files
-  labels   import: labels from DexYCB, HO3D or MANO parameters; check: what is wrong with a label file
+  labels   import: labels from DexYCB, HO3D or MANO parameters; make: synthesise grasps; check: what is wrong with a
+           label file
 """
 
 

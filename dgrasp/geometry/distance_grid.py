@@ -20,8 +20,8 @@ _SAMPLE = 0.003
 """m between the points of the surface that lead to the nearest triangles."""
 _NEAREST = 3
 _ASKEW = np.array([0.137, 0.271, 0.393])
-_FAR = 0.012
-"""m from the samples."""
+_FAR = 0.021
+"""m. From farther away the nearest sample stands for the surface; by 2 mm at a corner, that is too far."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,7 +42,7 @@ class DistanceGrid:
 
 
 def distance_grid(body: Body, pitch: float = PITCH, margin: float = MARGIN) -> DistanceGrid:
-    """The grid of a body: exact distances to its surface at the grid's points, of which the sign is what winds around.
+    """The grid of a body. Distances are exact up to 0.018 m, and up to 2 mm too large beyond.
 
     Inside a union of solids it is the depth below the union's surface, not below that of one solid.
     """
@@ -64,7 +64,6 @@ def distance_grid(body: Body, pitch: float = PITCH, margin: float = MARGIN) -> D
     far, near = cKDTree(corners[pieces].mean(axis=1)).query(points, k=min(_NEAREST, len(pieces)))
     far, near = far.reshape(len(points), -1), near.reshape(len(points), -1)
     distance, triangles = far[:, 0].copy(), vertices[faces]
-    # From farther away the nearest sample is as near as the surface, to a tenth of a millimetre.
     close = np.flatnonzero(distance < _FAR)
     for column in near[close].T:
         distance[close] = np.minimum(distance[close], triangle_distances(triangles[owner[column]], points[close]))

@@ -30,6 +30,8 @@ _ARM = 0.04
 ITERATIONS = 140
 """Steps of the descent; half as many follow once joints have yielded."""
 _RATES = {"t": 0.0020, "w": 0.025, "motions": 0.025, "shares": 0.1}
+_STEEPEST, _STEEPEST_M = 10.0, 3000.0
+"""Longest gradients, per rad and per m."""
 WEIGHTS = {"contact": 1.0, "facing": 2.0, "closure": 15.0, "penetration": 0.6, "self": 0.5, "table": 0.6,
            "limits": 1.0, "prior": 0.06, "upright": 4.0}  # fmt: skip
 LOWEST_THUMB_SIDE = -0.35
@@ -146,7 +148,8 @@ def optimise(
     t, motions = (value.clone().requires_grad_() for value in (grasps.t, grasps.motions))
     shares = torch.zeros(len(grasps), N_PARTS, requires_grad=True)
     leaves = {"t": t, "w": w, "motions": motions, "shares": shares}
-    adam = torch.optim.Adam([{"params": [leaf], "lr": _RATES[name]} for name, leaf in leaves.items()], betas=(0.9, 0.98))
+    groups = [{"params": [leaf], "lr": _RATES[name]} for name, leaf in leaves.items()]
+    adam = torch.optim.Adam(groups, betas=(0.9, 0.98))
     slower = torch.optim.lr_scheduler.LambdaLR(adam, lambda k: 0.03 + 0.97 * math.cos(0.5 * math.pi * k / iterations))
 
     def current() -> Grasps:
@@ -160,8 +163,9 @@ def optimise(
         total.backward()
         # A sphere that starts deep inside must not throw its hand away.
         for leaf in leaves.values():
-            norm = leaf.grad.norm(dim=1, keepdim=True).clamp_min(1e-9)
-            leaf.grad.mul_((10.0 / norm).clamp_max(1.0) if leaf is not t else (3000.0 / norm).clamp_max(1.0))
+            if leaf.grad is not None:
+                norm = leaf.grad.norm(dim=1, keepdim=True).clamp_min(1e-9)
+                leaf.grad.mul_(((_STEEPEST_M if leaf is t else _STEEPEST) / norm).clamp_max(1.0))
         adam.step()
         slower.step()
     with torch.no_grad():

@@ -35,7 +35,7 @@ class ObjectField:
     """The signed distance to an object, by linear interpolation in its grid, and the surface's normals."""
 
     def __init__(self, grid: DistanceGrid) -> None:
-        slopes = np.stack(np.gradient(grid.values, grid.pitch))
+        slopes: Array = np.stack([np.gradient(grid.values, grid.pitch, axis=axis) for axis in range(3)])
         slopes /= np.maximum(np.linalg.norm(slopes, axis=0), 1e-6)
         # grid_sample has x last.
         layers = np.concatenate([grid.values[None], slopes]).transpose(0, 3, 2, 1)

@@ -19,7 +19,6 @@ from dgrasp.geometry.intersection import body
 from dgrasp.geometry.shape_mesh import shape_mesh
 from dgrasp.hand.mano_model import Side
 from dgrasp.hand.model import HandModel
-from dgrasp.hand.motions import MOTIONS
 from dgrasp.hand.skeleton import N_DOF, THUMB_TIP_PART
 from dgrasp.labels.distance import CONTACT_DISTANCE
 from dgrasp.labels.synth_energy import (
@@ -31,12 +30,12 @@ from dgrasp.labels.synth_energy import (
     overlaps,
     residual_wrench,
 )
+from dgrasp.labels.synth_path import free_starts, orthonormal
 from dgrasp.labels.synth_start import LIFT, Setting, propose, rest_poses
 from dgrasp.labels.synth_torch import ObjectField, TorchHand, tensor
 from dgrasp.objects.model import ObjectModel
-from dgrasp.scene.scene import TABLE_TOP
 from dgrasp.types import Array, GraspLabel, StartPose
-from raisim_like.rotations import matrix_from_euler, transform
+from raisim_like.rotations import transform
 
 SOURCE = "synthesised"
 MAX_DEPTH = 0.006
@@ -49,24 +48,20 @@ HOLDING_SHARE = 0.4
 """Share of an object's labels that hold by themselves under gt_pd, where that many are found."""
 BATCH, _ROUNDS = 96, 6
 _CHECKED_PER_LABEL = 2.0
-DRAWN_BACK = (0.10, 0.15)
-"""m between the wrist at the start and at the grasp."""
-START_CLEARANCE, PATH_OVERLAP = 0.03, 0.004
-"""m from the hand at the start to object and table, and how far the open hand may graze the object on its way."""
-_START_TURN, _START_DRAWS = 0.12, 16
-_OPENED = np.radians(20.0)
 
 
 @dataclass(frozen=True, eq=False)
 class Synthesised:
     """Labels of one object and what is known of them, each (N,): held: under gt_pd. quality: by geometry alone, higher
-    is better. depth: m, the deepest sphere. touching: parts whose pad touches."""
+    is better. depth: m, the deepest sphere. touching: parts whose pad touches. found_held: the share that held of all
+    that were tried."""
 
     labels: list[GraspLabel]
     held: Array
     quality: Array
     depth: Array
     touching: Array
+    found_held: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,7 +119,7 @@ class Synthesiser:
         chosen = order_of_both(held, count)
         rows = order[chosen]
         return Synthesised([labels[i] for i in chosen], held[chosen], parts.quality[rows], parts.depth[rows],
-                           parts.touching[rows])
+                           parts.touching[rows], float(held.mean()))
 
     def _round(
         self, setting: Setting, rng: np.random.Generator, batch: int, iterations: int
@@ -140,7 +135,7 @@ class Synthesiser:
         yielding = let_yield(hand, field, grasps, rng)
         grasps, _ = optimise(hand, field, yielding, center, self.thumb_side, max(1, iterations // 2))
         found = self._sound(setting, grasps, rest, T_WO)
-        starts, free = self._starts(setting, found, rng)
+        starts, free = free_starts(hand, setting, found.grasps, found.rest, found.T_WO, rng)
         return found.take(np.flatnonzero(free)), [starts[i] for i in np.flatnonzero(free)]
 
     @torch.no_grad()
@@ -162,55 +157,11 @@ class Synthesiser:
             & (overlaps(hand, posed.centers).amax((1, 2)) < MAX_SELF_OVERLAP)
         )  # fmt: skip
         quality = -(force.norm(dim=1) + 0.5 * torque.norm(dim=1)) + 0.05 * touching.sum(1)
+        # What yields is pulled back by a controller, and so grasps.
+        quality += 0.2 * grasps.yields[:, :36].any(1) + 0.2 * grasps.yields[:, 36:].any(1)
         rows = np.flatnonzero(sound.numpy())
         figures = (quality, depth, touching.sum(1), hand.per_part(distance))
         return _Found(grasps, rest, T_WO, *(value.numpy() for value in figures)).take(rows)
-
-    @torch.no_grad()
-    def _starts(self, setting: Setting, found: _Found, rng: np.random.Generator) -> tuple[list[StartPose], Array]:
-        """Wrists drawn back from the grasps with opened fingers, and (N,) whether start and way are free."""
-        n, hand, g = len(found), self.torch_hand, found.grasps
-        if n == 0:
-            return [], np.zeros(0, bool)
-        pose = hand.clipped(hand.pose(self._opened(g.motions)))
-        R_WO, R_OH = found.T_WO[:, :3, :3], g.R.numpy().astype(float)
-        T_WH = found.T_WO @ transform(R_OH, g.t.numpy().astype(float))
-        # Away from what is held: from the middle of the fingers' tips to the wrist.
-        tips = hand.tips(hand.forward(g.R, g.t, g.pose(hand))).mean(1).numpy()
-        away = np.matmul(R_WO, (g.t.numpy() - tips)[..., None])[..., 0]
-        away /= np.linalg.norm(away, axis=1, keepdims=True)
-        starts, done = T_WH.copy(), np.zeros(n, bool)
-        for _ in range(_START_DRAWS):
-            back = away + rng.normal(0.0, 0.25, (n, 3))
-            back[:, 2] += rng.uniform(0.0, 1.2, n)
-            back *= rng.uniform(*DRAWN_BACK, (n, 1)) / np.linalg.norm(back, axis=1, keepdims=True)
-            start = T_WH.copy()
-            start[:, :3, 3] += back
-            start[:, :3, :3] = start[:, :3, :3] @ matrix_from_euler(rng.uniform(-_START_TURN, _START_TURN, (n, 3)))
-            free = self._clearance(setting, found.rest, start, pose) > START_CLEARANCE
-            for share in (0.75, 0.5, 0.25, 0.0):
-                way = T_WH.copy()
-                way[:, :3, 3] += share * back
-                free &= self._clearance(setting, found.rest, way, pose) > -PATH_OVERLAP
-            starts[free & ~done] = start[free & ~done]
-            done |= free
-        opened = pose.numpy().astype(float)
-        return [StartPose(starts[i], found.rest[i], opened[i]) for i in range(n)], done
-
-    def _opened(self, motions: Tensor) -> Tensor:
-        """The motions with all flexions undone by 20 degrees."""
-        change = [0.0 if name.endswith(("spread", "twist", "lift")) else -_OPENED for name in MOTIONS]
-        return motions + tensor(np.array(change))
-
-    def _clearance(self, setting: Setting, T_WO: Array, T_WH: Array, pose: Tensor) -> Array:
-        """(N,) m between the hand and the object, or the table."""
-        T_OH = np.linalg.inv(T_WO) @ T_WH
-        hand = self.torch_hand
-        centers = hand.forward(tensor(T_OH[:, :3, :3]), tensor(T_OH[:, :3, 3]), pose).centers
-        distance = setting.field.distance(centers) - hand.radii
-        up, over = tensor(T_WO[:, 2, :3]), tensor(T_WO[:, 2, 3] - TABLE_TOP)
-        height = (centers @ up[..., None])[..., 0] + over[:, None] - hand.radii
-        return np.asarray(torch.minimum(distance, height).amin(1).numpy())
 
     @torch.no_grad()
     def _features(self, found: _Found) -> Array:
@@ -224,7 +175,7 @@ class Synthesiser:
         # The limits are float64: what lies within them must not leave them by rounding.
         pose = g.pose(self.torch_hand).numpy().astype(float)
         pose = np.where(g.yields.numpy(), pose, np.clip(pose, *self.hand.limits[6:].T))
-        T_WH = found.T_WO @ transform(_orthonormal(g.R.numpy().astype(float)), g.t.numpy().astype(float))
+        T_WH = found.T_WO @ transform(orthonormal(g.R.numpy().astype(float)), g.t.numpy().astype(float))
         gc = np.concatenate([np.zeros((len(found), N_DOF - 45)), pose], axis=1)
         _, joints = self.hand.forward(gc, T_WH[:, :3, :3], T_WH[:, :3, 3])
         return [
@@ -280,11 +231,6 @@ def _farthest_first(features: Array, quality: Array, count: int) -> Array:
         apart = np.minimum(apart, np.linalg.norm(features - features[order[-1]], axis=1))
         apart[order] = -1.0
     return np.array(order)
-
-
-def _orthonormal(R: Array) -> Array:
-    u, _, v = np.linalg.svd(R)
-    return np.asarray(u @ v)
 
 
 def _join(parts: list[_Found]) -> _Found:

@@ -1,0 +1,78 @@
+"""Where the approach to a synthesised grasp begins: the wrist drawn back, the fingers opened, nothing in the way."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from dgrasp.hand.motions import MOTIONS
+from dgrasp.labels.synth_energy import Grasps
+from dgrasp.labels.synth_start import Setting
+from dgrasp.labels.synth_torch import TorchHand, tensor
+from dgrasp.scene.scene import TABLE_TOP
+from dgrasp.types import Array, StartPose
+from raisim_like.rotations import matrix_from_euler, transform
+
+DRAWN_BACK = (0.10, 0.15)
+"""m between the wrist at the start and at the grasp."""
+START_CLEARANCE, PATH_OVERLAP = 0.03, 0.004
+"""m from the hand at the start to object and table, and how far the open hand may graze the object on its way."""
+_START_TURN, _DRAWS = 0.12, 16
+_OPENED = np.radians(20.0)
+_FLEXIONS = np.array([not name.endswith(("spread", "twist", "lift")) for name in MOTIONS])
+
+
+@torch.no_grad()
+def free_starts(
+    hand: TorchHand, setting: Setting, grasps: Grasps, rest: Array, T_WO: Array, rng: np.random.Generator
+) -> tuple[list[StartPose], Array]:
+    """A start per grasp, and (N,) whether it and the straight way from it are free.
+
+    rest, T_WO (N, 4, 4): the object before and at the grasp. All flexions are undone by 20 degrees.
+    """
+    n = len(grasps)
+    if n == 0:
+        return [], np.zeros(0, bool)
+    pose = hand.clipped(hand.pose(grasps.motions - tensor(_OPENED * _FLEXIONS)))
+    T_WH = T_WO @ transform(grasps.R.numpy().astype(float), grasps.t.numpy().astype(float))
+    # Away from what is held: from the middle of the fingers' tips to the wrist.
+    tips = hand.tips(hand.forward(grasps.R, grasps.t, grasps.pose(hand))).mean(1)
+    away = np.matmul(T_WO[:, :3, :3], (grasps.t - tips).numpy()[..., None])[..., 0]
+    away /= np.linalg.norm(away, axis=1, keepdims=True)
+    starts, done = T_WH.copy(), np.zeros(n, bool)
+    for _ in range(_DRAWS):
+        back = away + rng.normal(0.0, 0.25, (n, 3))
+        back[:, 2] += rng.uniform(0.0, 1.2, n)
+        back *= rng.uniform(*DRAWN_BACK, (n, 1)) / np.linalg.norm(back, axis=1, keepdims=True)
+        start = T_WH.copy()
+        start[:, :3, 3] += back
+        start[:, :3, :3] = start[:, :3, :3] @ matrix_from_euler(rng.uniform(-_START_TURN, _START_TURN, (n, 3)))
+        free = clearance(hand, setting, rest, start, pose) > START_CLEARANCE
+        for share in (0.75, 0.5, 0.25, 0.0):
+            way = T_WH.copy()
+            way[:, :3, 3] += share * back
+            free &= clearance(hand, setting, rest, way, pose) > -PATH_OVERLAP
+        starts[free & ~done] = start[free & ~done]
+        done |= free
+    opened = pose.numpy().astype(float)
+    opened = np.clip(opened, *hand.model.limits[6:].T)
+    starts[:, :3, :3] = orthonormal(starts[:, :3, :3])
+    return [StartPose(starts[i], rest[i], opened[i]) for i in range(n)], done
+
+
+def clearance(hand: TorchHand, setting: Setting, T_WO: Array, T_WH: Array, pose: Tensor) -> Array:
+    """(N,) m between the hand, pose (N, 45), and the object or the table, whichever is nearer; negative where they
+    overlap."""
+    T_OH = np.linalg.inv(T_WO) @ T_WH
+    centers = hand.forward(tensor(T_OH[:, :3, :3]), tensor(T_OH[:, :3, 3]), pose).centers
+    distance = setting.field.distance(centers) - hand.radii
+    up, over = tensor(T_WO[:, 2, :3]), tensor(T_WO[:, 2, 3] - TABLE_TOP)
+    height = (centers @ up[..., None])[..., 0] + over[:, None] - hand.radii
+    return np.asarray(torch.minimum(distance, height).amin(1).numpy())
+
+
+def orthonormal(R: Array) -> Array:
+    """The nearest rotations to matrices (N, 3, 3), which float32 left a little off."""
+    u, _, v = np.linalg.svd(R)
+    return np.asarray(u @ v)

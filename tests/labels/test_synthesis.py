@@ -1,0 +1,347 @@
+"""Synthesised grasps: the hand's motions, the distance field, the energies, the descent, and the command."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from dgrasp.cli import run_command
+from dgrasp.config import make_config
+from dgrasp.geometry.distance_grid import distance_grid, triangle_distances
+from dgrasp.geometry.intersection import body
+from dgrasp.geometry.shape_mesh import shape_mesh
+from dgrasp.hand.motions import MOTIONS, hand_motions
+from dgrasp.hand.skeleton import N_PARTS, PARTS
+from dgrasp.labels import make_command, synthesis
+from dgrasp.labels.distance import HandSpheres, hand_bottom, part_distances, part_poses, signed_distance
+from dgrasp.labels.native import read_native_with_meta
+from dgrasp.labels.synth_energy import Grasps, energies, let_yield, optimise, residual_wrench
+from dgrasp.labels.synth_start import Setting, propose
+from dgrasp.labels.synth_torch import ObjectField, TorchHand, tensor
+from dgrasp.labels.synthesis import Synthesiser, gt_pd_holds, order_of_both
+from dgrasp.labels.synthesis_report import joint_distances
+from dgrasp.objects.free import free_object
+from dgrasp.objects.inertia import object_model
+from dgrasp.objects.resting import resting_rotations, turn_down
+from dgrasp.scene.scene import TABLE_TOP
+from dgrasp.types import GraspLabel
+from raisim_like.rotations import matrix_from_euler
+from raisim_like.shapes import Shape
+from tests.scenes import free_hand, make_label
+
+BRICK = "061_foam_brick"
+
+
+@pytest.fixture(scope="module")
+def hand() -> TorchHand:
+    return TorchHand(free_hand(), "right")
+
+
+@pytest.fixture(scope="module")
+def setting() -> Setting:
+    model = free_object(BRICK, "official", True)
+    united = body([shape_mesh(shape) for shape in model.shapes])
+    return Setting(model, united, ObjectField(distance_grid(united, pitch=0.006)))
+
+
+# The distance field ------------------------------------------------------------------------------
+
+
+def test_distance_to_a_triangle() -> None:
+    triangle = np.array([[0.0, 0.0, 0.0], [4.0, 0.0, 0.0], [0.0, 4.0, 0.0]])
+    points = np.array([[1.0, 1.0, 2.0], [-3.0, -4.0, 0.0], [2.0, -1.0, 0.0], [3.0, 3.0, 0.0], [4.0, 0.0, -1.0]])
+    expected = [2.0, 5.0, 1.0, 2.0**0.5, 1.0]
+    assert triangle_distances(np.repeat(triangle[None], 5, 0), points) == pytest.approx(expected, abs=1e-12)
+
+
+def test_the_grid_has_the_distances_of_a_union() -> None:
+    # Two overlapping boxes: x from -0.03 to 0.05, y and z from -0.02 to 0.02.
+    shapes = [Shape("box", (0.06, 0.04, 0.04)), Shape("box", (0.06, 0.04, 0.04), position=(0.02, 0.0, 0.0))]
+    grid = distance_grid(body([shape_mesh(shape) for shape in shapes]), pitch=0.004)
+    low, high = grid.low, grid.high
+    assert (low < [-0.06, -0.05, -0.05]).all() and (high > [0.08, 0.05, 0.05]).all()
+    axes = [low[k] + grid.pitch * np.arange(grid.values.shape[k]) for k in range(3)]
+    points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
+    whole = [Shape("box", (0.08, 0.04, 0.04), position=(0.01, 0.0, 0.0))]
+    expected = signed_distance(whole, points)
+    near = np.abs(expected) < 0.018
+    assert grid.values[near] == pytest.approx(expected[near], abs=1e-9)
+    assert (grid.values - expected).min() > -1e-9 and (grid.values - expected).max() < 0.002
+
+
+def test_the_field_interpolates_and_goes_on_beyond_its_grid(setting: Setting) -> None:
+    # The brick is 0.050 by 0.075 by 0.050.
+    points = tensor(np.array([[0.030, 0.0, 0.0], [0.020, 0.0, 0.0], [0.0, 0.0, 0.525]]))
+    distance, normal = setting.field.with_normal(points)
+    assert distance.numpy() == pytest.approx([0.005, -0.005, 0.500], abs=5e-4)
+    assert normal.numpy() == pytest.approx(np.array([[1, 0, 0], [1, 0, 0], [0, 0, 1]]), abs=0.02)
+
+
+# Objects at rest ---------------------------------------------------------------------------------
+
+
+def test_a_box_rests_on_its_faces_and_rather_on_the_broad_ones() -> None:
+    corners = np.array([[x, y, z] for x in (-0.02, 0.02) for y in (-0.05, 0.05) for z in (-0.1, 0.1)])
+    R, share = resting_rotations(corners, np.zeros(3))
+    height = -(R[:, 2] @ corners.T).min(axis=1)
+    assert share.sum() == pytest.approx(1.0)
+    assert height[share.argmax()] == pytest.approx(0.02)
+    # Tipping angles: on the narrowest faces atan(0.02 / 0.1), on the broadest atan(0.05 / 0.02).
+    assert share.max() / share[np.abs(height - 0.02) > 1e-9].min() <= 10.0 + 1e-9
+    assert (np.abs(height - 0.1) > 1e-9).all()
+
+
+@pytest.mark.parametrize("normal", [(0.0, 0.0, -1.0), (0.0, 0.0, 1.0), (0.6, 0.0, 0.8)])
+def test_turned_down(normal: tuple[float, float, float]) -> None:
+    R = turn_down(np.array(normal))
+    assert R @ normal == pytest.approx([0.0, 0.0, -1.0], abs=1e-12)
+    assert np.linalg.det(R) == pytest.approx(1.0)
+
+
+def test_a_ball_rests_as_it_is_modelled() -> None:
+    rng = np.random.default_rng(0)
+    ball = rng.normal(size=(400, 3))
+    R, share = resting_rotations(ball / np.linalg.norm(ball, axis=1, keepdims=True), np.zeros(3))
+    # No face of 400 points is broad enough to stand on.
+    assert pytest.approx(np.eye(3)[None]) == R or share.sum() == pytest.approx(1.0)
+
+
+# The hand ------------------------------------------------------------------------------------------
+
+
+def test_kinematics_are_those_of_numpy(hand: TorchHand) -> None:
+    rng = np.random.default_rng(0)
+    pose, T = rng.uniform(-0.5, 0.5, (3, 45)), np.tile(np.eye(4), (3, 1, 1))
+    T[:, :3, :3], T[:, :3, 3] = matrix_from_euler(rng.uniform(-1, 1, (3, 3))), rng.normal(size=(3, 3))
+    posed = hand.forward(tensor(T[:, :3, :3]), tensor(T[:, :3, 3]), tensor(pose))
+    R, t = part_poses(hand.model, T, pose)
+    assert np.abs(posed.R.numpy() - R).max() < 1e-5 and np.abs(posed.t.numpy() - t).max() < 1e-5
+    assert np.abs(posed.centers.numpy() - hand.spheres.place(R, t)).max() < 1e-5
+    gc = np.concatenate([np.zeros((3, 6)), pose], axis=1)
+    _, joints = hand.model.forward(gc, T[:, :3, :3], T[:, :3, 3])
+    assert np.abs(hand.tips(posed).numpy() - joints[:, 4::4]).max() < 1e-5
+
+
+def test_motions_bend_fingers_about_their_axes(hand: TorchHand) -> None:
+    motions = hand.motions
+    assert motions.to_pose.shape == (len(MOTIONS), 45) == (21, 45)
+    # The middle finger, which points along -x, flexes about z of its three joints, and its pads face -y like the palm.
+    for name, joint in (("middle_proximal", 11), ("middle_middle", 14), ("middle_distal", 17)):
+        expected = np.zeros(45)
+        expected[joint] = 1.0
+        assert motions.to_pose[MOTIONS.index(name)] == pytest.approx(expected, abs=1e-6)
+    for part in ("palm", "middle_proximal", "middle_distal"):
+        assert motions.palmar[PARTS.index(part)] == pytest.approx([0.0, -1.0, 0.0], abs=0.01)
+    assert np.linalg.norm(motions.palmar, axis=1) == pytest.approx(np.ones(16))
+    assert motions.whiten @ motions.factor == pytest.approx(np.eye(21), abs=1e-9)
+    # The mean hand is within its limits.
+    pose = motions.mean @ motions.to_pose
+    assert (pose >= hand.model.limits[6:, 0]).all() and (pose <= hand.model.limits[6:, 1]).all()
+
+
+def test_fingers_of_the_prior_bend_alike(hand: TorchHand) -> None:
+    covariance = hand.motions.factor @ hand.motions.factor.T
+    spread = np.sqrt(np.diag(covariance))
+    index, ring, middle, distal = (MOTIONS.index(k) for k in ("index_middle", "ring_middle", "middle_middle",
+                                                              "index_distal"))  # fmt: skip
+    correlation = covariance / np.outer(spread, spread)
+    assert correlation[index, middle] == pytest.approx(0.75) and correlation[index, ring] == pytest.approx(0.75**2)
+    # The distal joint has two thirds of the middle one's 20 degrees, and 6 of its own.
+    assert np.degrees(spread[distal]) == pytest.approx(np.hypot(40 / 3, 6.0))
+
+
+def test_a_left_hand_is_the_mirror_image(hand: TorchHand) -> None:
+    mirror = np.array([-1.0, 1.0, 1.0])
+    left = replace(hand.model, offsets=hand.model.offsets * mirror, tips=hand.model.tips * mirror)
+    motions = hand_motions(left, "left")
+    assert motions.palmar == pytest.approx(hand.motions.palmar * mirror, abs=1e-12)
+    assert motions.to_pose == pytest.approx(hand.motions.to_pose * np.tile([1.0, -1.0, -1.0], 15), abs=1e-12)
+
+
+# Energies ------------------------------------------------------------------------------------------
+
+
+def test_opposed_forces_close_and_forces_of_one_side_do_not() -> None:
+    point = torch.zeros(2, N_PARTS, 3)
+    normal = torch.zeros(2, N_PARTS, 3)
+    wanted = torch.zeros(2, N_PARTS, dtype=torch.bool)
+    wanted[:, [3, 15]] = True
+    point[:, 3, 0], point[:, 15, 0] = 0.04, -0.04
+    normal[:, 3, 0] = 1.0
+    normal[0, 15, 0], normal[1, 15, 0] = -1.0, 1.0
+    force, torque = residual_wrench(point, normal, torch.zeros(2, N_PARTS), wanted, torch.zeros(3))
+    assert force.numpy() == pytest.approx(np.array([[0, 0, 0], [-1, 0, 0]]), abs=1e-6)
+    assert torque.abs().max() == 0.0
+    # Three quarters of the force on one of two opposed parts leave half of it.
+    shares = torch.zeros(2, N_PARTS)
+    shares[:, 3] = float(np.log(3.0))
+    force, _ = residual_wrench(point, normal, shares, wanted, torch.zeros(3))
+    assert force[0].numpy() == pytest.approx([-0.5, 0.0, 0.0], abs=1e-6)
+    # 0.04 m beside the centre the lever is 1.
+    _, torque = residual_wrench(point, normal, torch.zeros(2, N_PARTS), wanted, torch.tensor([0.0, 0.04, 0.0]))
+    assert torque[1].numpy() == pytest.approx([0.0, 0.0, -1.0], abs=1e-6)
+
+
+def one_hand(hand: TorchHand, height: float) -> Grasps:
+    """A mean hand far from the object, its wrist `height` over the table, the palm down."""
+    R = torch.tensor([[[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]]])
+    wanted = torch.zeros(1, N_PARTS, dtype=torch.bool)
+    wanted[:, [3, 15]] = True
+    return Grasps(R, torch.tensor([[1.0, 1.0, height]]), tensor(hand.motions.mean[None]), wanted,
+                  torch.tensor([[0.0, 0.0, 1.0]]), torch.zeros(1), torch.zeros(1, 45, dtype=torch.bool),
+                  torch.zeros(1, 45))  # fmt: skip
+
+
+def test_terms_of_a_hand_that_touches_nothing(hand: TorchHand, setting: Setting) -> None:
+    terms = energies(hand, setting.field, one_hand(hand, 1.0), torch.zeros(1, N_PARTS), torch.zeros(3))
+    for name in ("penetration", "self", "table", "limits", "prior", "upright"):
+        assert float(terms[name]) == pytest.approx(0.0, abs=1e-6), name
+    assert float(terms["contact"]) > 100.0
+    sunk = energies(hand, setting.field, one_hand(hand, -0.1), torch.zeros(1, N_PARTS), torch.zeros(3))
+    assert float(sunk["table"]) > 1.0
+
+
+def test_the_descent_brings_the_hand_to_the_object(hand: TorchHand, setting: Setting) -> None:
+    rng = np.random.default_rng(3)
+    T_WO = np.tile(np.eye(4), (4, 1, 1))
+    T_WO[:, 2, 3] = TABLE_TOP + 0.025
+    start = propose(hand, setting, T_WO, rng)
+    before = energies(hand, setting.field, start, torch.zeros(4, N_PARTS), torch.zeros(3))
+    found, after = optimise(hand, setting.field, start, np.zeros(3), 1.0, iterations=30)
+    assert after["contact"].mean() < 0.6 * before["contact"].mean()
+    assert after["closure"].mean() < before["closure"].mean()
+    yielding = let_yield(hand, setting.field, found, rng)
+    pose, (low, high) = yielding.pose(hand), hand.limits
+    beyond, yields = np.degrees(torch.maximum(low - pose, pose - high).numpy()), yielding.yields.numpy()
+    assert yields.any() and (beyond[yields] <= 7.0 + 1e-3).all() and (beyond[yields] >= 1.5 - 1e-3).all()
+    assert beyond[~yields].max() <= 1e-4
+
+
+# Labels --------------------------------------------------------------------------------------------
+
+
+def few(seed: int) -> synthesis.Synthesised:
+    config = make_config({"eval": {"window_s": 0.3}}, "test")
+    model = free_object(BRICK, "official", True)
+    return Synthesiser(free_hand()).make(model, 3, np.random.default_rng(seed), config, batch=10, iterations=36)
+
+
+@pytest.fixture(scope="module")
+def made() -> synthesis.Synthesised:
+    return few(1)
+
+
+def test_labels_are_sound(made: synthesis.Synthesised, hand: TorchHand) -> None:
+    model, spheres = free_object(BRICK, "official", True), HandSpheres.of_hand(hand.model)
+    assert len(made.labels) == len(made.held) == len(made.quality) == 3
+    T_WH, T_WO, pose = (np.stack([getattr(label, k) for label in made.labels]) for k in ("T_WH", "T_WO", "hand_pose"))
+    apart = part_distances(hand.model, spheres, model.shapes, T_WH, pose, T_WO)
+    # The grid's distances are exact to half a millimetre.
+    assert apart.min() > -synthesis.MAX_DEPTH - 5e-4
+    assert hand_bottom(hand.model, spheres, T_WH, pose).min() > TABLE_TOP - 1e-4
+    for label, mine in zip(made.labels, apart, strict=True):
+        assert label.goal_contacts[np.abs(mine - 0.015) > 5e-4].tolist() == (mine < 0.015)[
+            np.abs(mine - 0.015) > 5e-4
+        ].tolist()
+        assert label.goal_contacts[13:].any() and label.goal_contacts[1:13].sum() >= 2
+        assert label.start is not None and (label.start.hand_pose >= hand.model.limits[6:, 0]).all()
+
+
+def test_same_seed_same_labels(made: synthesis.Synthesised) -> None:
+    again = few(1)
+    for a, b in zip(made.labels, again.labels, strict=True):
+        assert np.array_equal(a.hand_pose, b.hand_pose) and np.array_equal(a.T_WH, b.T_WH)
+        assert a.start is not None and b.start is not None and np.array_equal(a.start.T_WH, b.start.T_WH)
+    assert np.array_equal(made.held, again.held)
+
+
+def test_too_few_are_said(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(synthesis, "_ROUNDS", 1)
+    # A ball of 0.5 m, which no hand spans.
+    model = object_model("ball", (Shape("sphere", (0.25,)),), 1.0, True)
+    with pytest.raises(synthesis.ConfigError, match="ball"):
+        Synthesiser(free_hand()).make(model, 3, np.random.default_rng(0), make_config({}, "test"), 4, 2)
+
+
+def test_a_hand_beside_the_object_does_not_hold_it(made: synthesis.Synthesised) -> None:
+    label = made.labels[0]
+    T = label.T_WH.copy()
+    T[2, 3] += 1.0
+    far = GraspLabel(**{**vars(label), "T_WH": T})
+    config = make_config({"eval": {"window_s": 0.4}}, "test")
+    assert not gt_pd_holds([far], free_hand(), free_object(BRICK, "official", True), config).any()
+
+
+@pytest.mark.parametrize(
+    ("held", "count", "expected"),
+    [
+        ([1, 1, 1, 0, 0, 0, 0, 0, 0, 0], 5, [0, 1, 3, 4, 5]),  # two of five hold
+        ([1, 1, 1, 1, 0], 4, [0, 1, 2, 4]),  # there is just one other
+        ([0, 0, 0], 2, [0, 1]),
+    ],
+)
+def test_some_that_hold_and_more_that_do_not(held: list[int], count: int, expected: list[int]) -> None:
+    assert order_of_both(np.array(held, bool), count).tolist() == expected
+
+
+def test_distances_between_grasps() -> None:
+    hand = free_hand()
+    one, other = make_label(hand, flexion=0.5), make_label(hand, flexion=0.8)
+    # 0.3 rad in a third of the angles: 0.3 / sqrt(3).
+    assert joint_distances([one, other])[0] == pytest.approx(np.degrees(0.3 / 3**0.5))
+    moved = make_label(hand, index=1)
+    assert joint_distances([one, moved]) == pytest.approx((0.0, 10.0))
+    assert joint_distances([one]) == (0.0, 0.0)
+
+
+# The command ---------------------------------------------------------------------------------------
+
+
+def test_the_command_writes_both_splits(
+    tmp_path, made: synthesis.Synthesised, monkeypatch: pytest.MonkeyPatch, capsys
+) -> None:
+    row = {"held": 1, "found_held": 0.5, "best_quarter_held": 1.0, "penetration_cm3": 0.5, "touching": 4.0,
+           "contacts": 9.0, "diversity_deg": 10.0, "diversity_mm": 20.0, "cpu_s": 1.0}  # fmt: skip
+
+    class Here:
+        def __init__(self, *arguments: object) -> None: ...
+
+        def __enter__(self) -> Here:
+            return self
+
+        def __exit__(self, *arguments: object) -> None: ...
+
+        def map(self, function, tasks):
+            return [(made.labels, row) for _ in tasks]
+
+    monkeypatch.setattr(make_command, "ProcessPoolExecutor", Here)
+    out = tmp_path / "set.npz"
+    words = ["--objects", "061", "--number", "3", "--out", str(out), "--test", "1"]
+    assert run_command("labels make", words) == 0
+    train, meta = read_native_with_meta(tmp_path / "set_train.npz")
+    test, _ = read_native_with_meta(tmp_path / "set_test.npz")
+    assert (len(train), len(test), meta["licence"], meta["hand"]) == (2, 1, "MIT", "free")
+    assert meta["provenance"]["per_object"][BRICK]["held"] == 1 and "cpu_s" not in str(meta)
+    assert not out.exists() and "best quarter" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--number", "0"], "--number 0"),
+        (["--out", "nowhere/a.npz"], "folder that exists"),
+        (["--objects", "spoon"], "spoon"),
+        (["--test", "3"], "--test 3"),
+        (["--workers", "0"], "at least one process"),
+        (["--hand", "claw"], "claw"),
+    ],
+)
+def test_wrong_options_are_refused(words: list[str], message: str, tmp_path, capsys) -> None:
+    base = {"--objects": BRICK, "--number": "3", "--out": str(tmp_path / "a.npz")}
+    base[words[0]] = words[1]
+    assert run_command("labels make", [word for pair in base.items() for word in pair]) == 2
+    assert message in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
