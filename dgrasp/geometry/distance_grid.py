@@ -14,14 +14,12 @@ PITCH = 0.003
 """m between the grid's points."""
 MARGIN = 0.03
 """m of grid around the surface's bounding box."""
-MAX_POINTS = 1_500_000
+MAX_POINTS = 500_000
 """Points of a grid; the pitch of a larger object grows until it has so few."""
-_SAMPLE = 0.003
-"""m between the points of the surface that lead to the nearest triangles."""
 _NEAREST = 3
 _ASKEW = np.array([0.137, 0.271, 0.393])
 _FAR = 0.021
-"""m. From farther away the nearest sample stands for the surface; by 2 mm at a corner, that is too far."""
+"""m. From farther away the nearest sample stands for the surface."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,7 +40,7 @@ class DistanceGrid:
 
 
 def distance_grid(body: Body, pitch: float = PITCH, margin: float = MARGIN) -> DistanceGrid:
-    """The grid of a body. Distances are exact up to 0.018 m, and up to 2 mm too large beyond.
+    """The grid of a body. Distances are exact up to 0.018 m, and by less than a pitch too large beyond.
 
     Inside a union of solids it is the depth below the union's surface, not below that of one solid.
     """
@@ -58,8 +56,9 @@ def distance_grid(body: Body, pitch: float = PITCH, margin: float = MARGIN) -> D
     size = (int(counts[0]), int(counts[1]), int(counts[2]))
     axes = [start + pitch * np.arange(n) for start, n in zip(low, size, strict=True)]
     points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    # Samples, as dense as the grid, lead to the nearest triangles.
     corners, pieces, owner = trimesh.remesh.subdivide_to_size(
-        vertices, faces, max_edge=_SAMPLE, max_iter=20, return_index=True
+        vertices, faces, max_edge=pitch, max_iter=20, return_index=True
     )
     far, near = cKDTree(corners[pieces].mean(axis=1)).query(points, k=min(_NEAREST, len(pieces)))
     far, near = far.reshape(len(points), -1), near.reshape(len(points), -1)

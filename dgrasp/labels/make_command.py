@@ -79,7 +79,8 @@ def main(arguments: argparse.Namespace) -> int:
         for task, (labels, row) in zip(tasks, pool.map(_make, tasks), strict=True):
             made.append(labels)
             figures[task.model.name] = row
-            print(f"{task.model.name}: {len(labels)} labels, {row['held']} hold under gt_pd; penetration "
+            print(f"{task.model.name}: {len(labels)} labels, {row['held']} hold under gt_pd ({row['found_held']:.2f} "
+                  f"before the choice, {row['best_quarter_held']:.2f} of the best quarter); penetration "
                   f"{row['penetration_cm3']:.2f} cm3, {row['touching']:.1f} parts touch, {row['contacts']:.1f} goal "
                   f"contacts, joints {row['diversity_deg']:.0f} deg apart; {row['cpu_s']:.0f} s of CPU", flush=True)
     held = sum(row["held"] for row in figures.values()) / sum(map(len, made))

@@ -130,6 +130,8 @@ class RayPool(SizedPool):
         """Join the cluster at `pool.address`, or start one on this machine."""
         # A library sends nobody's usage anywhere unasked.
         os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
+        # Ray's workers stand back for all else on the machine; here the learner waits for them.
+        os.environ.setdefault("RAY_worker_niceness", "0")
         address = self._config.address
         try:
             if address is None:

@@ -10,6 +10,7 @@ import torch
 
 from dgrasp.cli import run_command
 from dgrasp.config import make_config
+from dgrasp.errors import ConfigError
 from dgrasp.geometry.distance_grid import distance_grid, triangle_distances
 from dgrasp.geometry.intersection import body
 from dgrasp.geometry.shape_mesh import shape_mesh
@@ -69,7 +70,7 @@ def test_the_grid_has_the_distances_of_a_union() -> None:
     expected = signed_distance(whole, points)
     near = np.abs(expected) < 0.018
     assert grid.values[near] == pytest.approx(expected[near], abs=1e-9)
-    assert (grid.values - expected).min() > -1e-9 and (grid.values - expected).max() < 0.002
+    assert (grid.values - expected).min() > -1e-9 and (grid.values - expected).max() < 0.004
 
 
 def test_the_field_interpolates_and_goes_on_beyond_its_grid(setting: Setting) -> None:
@@ -258,12 +259,13 @@ def test_same_seed_same_labels(made: synthesis.Synthesised) -> None:
     assert np.array_equal(made.held, again.held)
 
 
-def test_too_few_are_said(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(synthesis, "_ROUNDS", 1)
-    # A ball of 0.5 m, which no hand spans.
-    model = object_model("ball", (Shape("sphere", (0.25,)),), 1.0, True)
-    with pytest.raises(synthesis.ConfigError, match="ball"):
-        Synthesiser(free_hand()).make(model, 3, np.random.default_rng(0), make_config({}, "test"), 4, 2)
+def test_an_object_that_no_hand_spans_is_refused(hand: TorchHand) -> None:
+    # A ball of 0.16 m, through which every chord along a normal is as long.
+    model = object_model("ball", (Shape("sphere", (0.08,)),), 1.0, True)
+    united = body([shape_mesh(shape) for shape in model.shapes])
+    ball = Setting(model, united, ObjectField(distance_grid(united, pitch=0.02)))
+    with pytest.raises(ConfigError, match="ball: nowhere thinner than 10 cm"):
+        propose(hand, ball, np.eye(4)[None], np.random.default_rng(0))
 
 
 def test_a_hand_beside_the_object_does_not_hold_it(made: synthesis.Synthesised) -> None:
