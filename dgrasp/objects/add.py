@@ -11,6 +11,7 @@ import json
 import os
 import shutil
 import tempfile
+from contextlib import suppress
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
@@ -112,13 +113,12 @@ def _made(mesh: MeshFile, vertices: Array, unit: str, choice: Choice, threshold:
     except DataError as error:
         text = str(error)
         raise DataError(text if text.startswith(str(mesh.path)) else f"{mesh.path}: {text}") from None
-    try:
+    # A cache that cannot be written costs time the next time, nothing else.
+    with suppress(DataError):
         for name, content in made[1].items():
             write_atomic(cache / name, content)
         digests = {name: hashlib.sha256(content).hexdigest() for name, content in made[1].items()}
         write_atomic(cache / _MADE, json.dumps({"figures": made[0], "files": digests}, indent=1) + "\n")
-    except DataError:
-        pass  # A cache that cannot be written costs time the next time, nothing else.
     return made, False
 
 
