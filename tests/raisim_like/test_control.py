@@ -11,7 +11,7 @@ import pytest
 from dgrasp.hand.free_hand import URDF_PATH
 from dgrasp.types import Array
 from raisim_like import ArticulatedSystem, Shape, World, read_urdf
-from raisim_like.engines import bullet_pd
+from raisim_like.engines import bullet_mass, bullet_pd
 from raisim_like.engines.bullet_urdf import LIGHT_INERTIA, simulated_inertias
 from tests.raisim_like.urdfs import mass_matrix, write_chain
 
@@ -122,7 +122,7 @@ def test_blocks_add_up_and_divide_without_remainder() -> None:
 
 @pytest.mark.parametrize("branches", [None, (6, 9)])
 def test_the_inverse_of_a_tree_s_mass_matrix(hand_model: object, branches: tuple[int, int] | None) -> None:
-    assert bullet_pd._axes_of(hand_model).branches == (6, 9)  # type: ignore[arg-type]
+    assert bullet_mass.axes_of(hand_model).branches == (6, 9)  # type: ignore[arg-type]
     rng = np.random.default_rng(0)
     M = np.zeros((3, 51, 51))
     for a in M:
@@ -130,7 +130,7 @@ def test_the_inverse_of_a_tree_s_mass_matrix(hand_model: object, branches: tuple
             rows = np.r_[0:6, 6 + 9 * f : 15 + 9 * f]
             half = rng.normal(size=(15, 15))
             a[np.ix_(rows, rows)] += half @ half.T + np.eye(15)
-    assert np.abs(bullet_pd.inverse(M, branches) @ M - np.eye(51)).max() < 1e-10
+    assert np.abs(bullet_mass.inverse(M, branches) @ M - np.eye(51)).max() < 1e-10
 
 
 @pytest.mark.parametrize("joints", [1, 3])
