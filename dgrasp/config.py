@@ -43,6 +43,7 @@ class PhysicsConfig(_Section):
     """The simulated world (supplement, section B.1; ERRATA of the authors' code in docs/deviations.md).
 
     preset: "faithful" is as near to RaiSim as the engine gets; "fast" gives some of that for speed (docs/physics.md).
+    test.py takes "faithful" whatever a run trained with, unless physics.preset is typed.
     concave: how a release's concave objects collide: "mesh" as the authors' triangles (pybullet alone), "parts" as
     convex parts cut from them; "auto" is what docs/physics.md found best for object and engine.
     """

@@ -208,8 +208,9 @@ def _config(arguments: argparse.Namespace) -> Config:
         "motion.targets": arguments.motion,
     }
     overrides = [f"{key}={json.dumps(value)}" for key, value in given.items() if value is not None]
-    # What is typed last wins, so key=value stands above the options that are short for it.
-    return load_config(cfg, overrides + trailing + list(arguments.overrides))
+    # A run may train with faster physics; a test has the best there is. What is typed last wins, so key=value stands
+    # above the options that are short for it.
+    return load_config(cfg, ["physics.preset=faithful", *overrides, *trailing, *arguments.overrides])
 
 
 def _method(arguments: argparse.Namespace) -> Method:

@@ -14,7 +14,7 @@ from raisim_like.contact import Contact
 from raisim_like.engines import mujoco_state
 from raisim_like.engines.body_frame import BodyFrame
 from raisim_like.engines.mujoco_contacts import contacts_of, keep_sliding_contacts_closed, pair_forces
-from raisim_like.engines.mujoco_model import BuiltModel, Drive, Item, Solid, System
+from raisim_like.engines.mujoco_model import STRIDE, BuiltModel, Drive, Item, Solid, System
 from raisim_like.engines.pending import Pending
 from raisim_like.engines.picture import Picture
 from raisim_like.engines.protocol import Array, EngineWorld, Preset
@@ -37,11 +37,12 @@ mj.set_mju_user_warning(_report)
 class MujocoWorld:
     """One model with its data. See `EngineWorld` for the methods.
 
-    The model is compiled when it is first needed after bodies came or went; states are carried over.
+    The model is compiled when it is first needed after bodies came or went; states are carried over. With the fast
+    preset one step of the engine takes two timesteps; impulses are those of one all the same.
     """
 
-    def __init__(self, timestep: float) -> None:
-        self.timestep = timestep
+    def __init__(self, timestep: float, preset: Preset = "faithful") -> None:
+        self.timestep, self.preset = timestep, preset
         self.step_seconds = 0.0
         self.solids: dict[int, Solid] = {}
         self.systems: dict[int, System] = {}
@@ -114,7 +115,7 @@ class MujocoWorld:
         if self._built is not None and not self._stale:
             return self._built
         items: dict[int, Item] = {**self.solids, **self.systems}
-        old, new = self._built, BuiltModel(items, self._materials, self.timestep, self._gravity)
+        old, new = self._built, BuiltModel(items, self._materials, self.timestep, self._gravity, self.preset)
         for body, slot in new.slots.items():
             if body in self.systems:
                 new.set_gains(slot, self.systems[body])
@@ -187,21 +188,33 @@ class MujocoWorld:
     def forget_contacts(self) -> None:
         mujoco_state.forget_contacts(self._ready())
 
+    def _steps(self, substeps: int) -> int:
+        """How many steps of the engine make up that many timesteps; they are set to that length."""
+        steps = -(-substeps // STRIDE[self.preset])
+        length = self.timestep * substeps / steps if steps else self.timestep
+        built = self._ready()
+        if built.model.opt.timestep != length:
+            built.set_timestep(length)
+            for body, system in self.systems.items():
+                built.set_gains(built.slots[body], system)
+        return steps
+
     def step(self, substeps: int) -> None:
         """Advance by a number of timesteps under the present targets and forces."""
-        built = self._ready()
+        built, steps = self._ready(), self._steps(substeps)
+        length = built.model.opt.timestep
         for body, system in self.systems.items():
             built.model.qpos_spring[built.slots[body].q] = system.drive.target
         self._write_forces(built)
         pushed = bool(self._pending) and substeps > 0
         if pushed:
-            mujoco_state.begin_pending(built, self._pending)
+            mujoco_state.begin_pending(built, self._pending, self.timestep / length)
         start = time.perf_counter()
         # A world that breaks goes through NaN, which its owner will see.
         with np.errstate(all="ignore"):
-            for _ in range(substeps):
+            for _ in range(steps):
                 mj.mj_step1(built.model, built.data)
-                keep_sliding_contacts_closed(built.data, self.timestep)
+                keep_sliding_contacts_closed(built.data, length)
                 mj.mj_step2(built.model, built.data)
                 if pushed:
                     pushed, self._pending = False, Pending()
@@ -214,9 +227,9 @@ class MujocoWorld:
             built.data.qfrc_applied[built.slots[body].v] = system.drive.feed_forward
 
     def bare_step(self, substeps: int) -> float:
-        built = self._ready()
+        built, steps = self._ready(), self._steps(substeps)
         start = time.perf_counter()
-        mj.mj_step(built.model, built.data, nstep=substeps)
+        mj.mj_step(built.model, built.data, nstep=steps)
         return time.perf_counter() - start
 
     def save(self) -> mujoco_state.Snapshot:
@@ -274,7 +287,7 @@ class MujocoEngine:
     name = "mujoco"
 
     def make_world(self, timestep: float, preset: Preset) -> EngineWorld:
-        return MujocoWorld(timestep)
+        return MujocoWorld(timestep, preset)
 
     def integrate(self, worlds: Sequence[EngineWorld], substeps: int) -> None:
         # Control is part of the model, so a world needs nobody between its substeps.

@@ -55,12 +55,12 @@ def forget_contacts(built: BuiltModel) -> None:
     data.qpos[:], data.qvel[:], data.mocap_pos[:], data.mocap_quat[:] = state
 
 
-def begin_pending(built: BuiltModel, pending: Pending) -> None:
-    """Forces that last for one substep join those that are in the data already."""
+def begin_pending(built: BuiltModel, pending: Pending, share: float) -> None:
+    """Forces that last for one timestep, this share of the coming step, join those that are in the data already."""
     for body, wrench in pending.wrenches.items():
-        built.data.xfrc_applied[built.slots[body].bodies] = wrench.ravel()
+        built.data.xfrc_applied[built.slots[body].bodies] = share * wrench.ravel()
     for body, extra in pending.generalized.items():
-        built.data.qfrc_applied[built.slots[body].v] += extra
+        built.data.qfrc_applied[built.slots[body].v] += share * extra
 
 
 @dataclass

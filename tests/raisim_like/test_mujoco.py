@@ -49,6 +49,42 @@ def test_one_joint_is_the_implicit_law_exactly(world: World, tmp_path: Path) -> 
     assert abs(q - 0.7) > 0.02
 
 
+def test_with_the_fast_preset_a_joint_is_the_implicit_law_of_longer_steps(tmp_path: Path) -> None:
+    """13 timesteps are 7 steps of the engine, one is one."""
+    world = World("mujoco", DT, "fast")
+    world.set_gravity((0, 0, 0))
+    system = world.add_articulated_system(write_chain(tmp_path / "arm.urdf"))
+    system.set_pd_target([0.7])
+    system.set_pd_gains(50.0, 0.2)
+    J, D = 0.3 * 0.2**2 + LIGHT_INERTIA, 0.2 + 0.5
+    q = v = 0.0
+    for timesteps, steps in ((13, 7), (1, 1), (13, 7), (4, 2)):
+        h = DT * timesteps / steps
+        for _ in range(steps):
+            v = (J * v + h * 50.0 * (0.7 - q)) / (J + h * D + h**2 * 50.0)
+            q += h * v
+        world.integrate(timesteps)
+        assert system.generalized_velocity[0] == pytest.approx(v, abs=1e-12)
+        assert system.generalized_coordinate[0] == pytest.approx(q, abs=1e-12)
+    world.close()
+
+
+def test_the_fast_preset_keeps_impulses_those_of_a_timestep() -> None:
+    """Of contacts as they are read, and of outside forces."""
+    world = World("mujoco", DT, "fast")
+    world.add_ground()
+    box, pushed = world.add_box(0.1, 0.1, 0.1, 2.0), world.add_box(0.1, 0.1, 0.1, 0.5)
+    box.set_state((0, 0, 0.05))
+    pushed.set_state((1, 0, 9.0))
+    world.integrate(13 * 20)
+    assert sum(contact.impulse for contact in box.contacts()) == pytest.approx(2.0 * G * DT, rel=1e-3)
+    world.set_gravity((0, 0, 0))
+    pushed.set_external_force((0, 3.0, 0))
+    world.integrate(13)
+    assert pushed.linear_velocity[1] == pytest.approx(3.0 * DT / 0.5, rel=1e-9)
+    world.close()
+
+
 def test_the_mass_matrix_is_the_links_alone(world: World) -> None:
     """Whatever the gains; links lighter than the light hand's get its inertia."""
     system = world.add_articulated_system(URDF_PATH)
