@@ -16,18 +16,18 @@ def keep_sliding_contacts_closed(data: mj.MjData, timestep: float) -> None:
     MuJoCo's convex contact law parts two bodies at friction times their sliding speed, so that a sliding block
     hops. De Saxcé's correction takes that speed off the normal velocity that the contact aims at.
     """
-    if data.ncon == 0:
+    # The constraints end with the contacts, three rows each: the normal and two tangents.
+    first = data.ne + data.nf + data.nl
+    count = (data.nefc - first) // 3
+    if not count:
         return
     contact = data.contact
-    rows, friction = contact.efc_address, contact.friction[:, 0]
-    if rows.min() < 0:
+    friction = contact.friction[:, 0]
+    if count < data.ncon:
         # Points on the edge of the margin have no force.
-        rows, friction = rows[rows >= 0], friction[rows >= 0]
-        if not len(rows):
-            return
-    # The constraints end with the contacts, three rows each: the normal and two tangents.
-    velocity = data.efc_vel[rows[0] :].reshape(-1, 3)
-    data.efc_aref[rows[0] :: 3] -= friction * np.hypot(velocity[:, 1], velocity[:, 2]) / timestep
+        friction = friction[contact.efc_address >= 0]
+    velocity = data.efc_vel[first:].reshape(-1, 3)
+    data.efc_aref[first::3] -= friction * np.hypot(velocity[:, 1], velocity[:, 2]) / timestep
 
 
 def pair_forces(built: BuiltModel, body: int, other: int) -> tuple[Array, Array]:
