@@ -6,7 +6,7 @@ import json
 import os
 import shutil
 import tempfile
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -19,7 +19,7 @@ from dgrasp.hand.limits import mirror_limits, table_limits
 from dgrasp.hand.mano_model import MIRROR, ManoModel, mirror_mano
 from dgrasp.hand.model import load_hand
 from dgrasp.hand.segment import PartMesh, segment
-from dgrasp.hand.skeleton import N_PARTS, PART_PARENT, PARTS
+from dgrasp.hand.skeleton import DISTAL_PARTS, N_PARTS, PART_PARENT, PARTS
 from dgrasp.hand.urdf_writer import LinkPart, hand_urdf
 from dgrasp.objects.inertia import MassProperties
 from dgrasp.types import Array
@@ -28,7 +28,6 @@ DENSITY = 1100.0
 """kg/m^3 of every part: soft tissue and bone together, as for the free hand."""
 
 Shapes = Literal["primitives", "hulls"]
-_DISTAL = np.array([3, 6, 9, 12, 15])
 
 
 @dataclass(frozen=True)
@@ -78,7 +77,7 @@ def build_hand(
         urdf = folder / store.URDF_FILE
         links = _links(parts, solids, fits, joints, limits)
         comment = "Written by `dgrasp hand build`; what it was made of stands in hand.json."
-        text = hand_urdf(provenance.name, comment, links, tips - joints[_DISTAL], massless=False)
+        text = hand_urdf(provenance.name, comment, links, tips - joints[DISTAL_PARTS], massless=False)
         urdf.write_text(text, encoding="utf-8", newline="\n")
         identity = store.hand_id(provenance.name, urdf)
         load_hand(urdf, identity)
@@ -93,6 +92,15 @@ def build_hand(
     finally:
         shutil.rmtree(folder, ignore_errors=True)
     return identity
+
+
+def primitive_links(model: ManoModel, limits: Array) -> list[LinkPart]:
+    """The parts of the mean hand as primitives, without meshes to show. limits: (45, 2) rad."""
+    vertices, joints = model.shaped(np.zeros(0))
+    parts = segment(vertices, model.faces, model.part_weights(), joints)
+    fits = [_primitive(part) for part in parts]
+    links = _links(parts, [part_properties(part) for part in parts], fits, joints, limits)
+    return [replace(link, visual="") for link in links]
 
 
 def _table(model: ManoModel, joints: Array, tips: Array) -> Array:
@@ -115,6 +123,10 @@ def _fit(part: PartMesh, shapes: Shapes, folder: Path) -> Fit:
         assert fit.shape.file is not None
         write_obj(fit.shape.file, mesh)
         return fit
+    return _primitive(part)
+
+
+def _primitive(part: PartMesh) -> Fit:
     return fit_box(part) if part.name == "palm" else fit_capsule(part)
 
 

@@ -1,7 +1,7 @@
-"""Anatomy of the free hand: a right hand of our own, made of capsules and boxes from published anthropometry.
+"""Anatomy of the free hand: bones, joints and limits of a right hand of our own, from published anthropometry.
 
 It has the 16 parts and 21 key points of `dgrasp.hand.skeleton` and depends on no licensed hand model;
-`dgrasp.hand.free_hand` writes it as a URDF.
+`dgrasp.hand.make_skin` lays a skin around it, `dgrasp.hand.free_hand` makes a URDF of that.
 
 Wrist frame: origin at the wrist's centre of rotation; the fingers point along -x, the palm faces -y, the thumb
 is on the +z side. At the zero pose the hand is flat, its fingers straight and slightly spread, and every joint
@@ -19,7 +19,7 @@ Sources
   Cooney et al., J. Bone Joint Surg. 63-A, 1981 (total ranges: flexion 53, abduction 42, rotation 17 deg), here
   counted from the zero pose, where the thumb is stretched out, and the rotation to both sides. All
   are widened by `SLACK_DEG`; motions that anatomy couples or allows only passively have small ranges of their own.
-- Radii, thickness and the places of the metacarpals' bases are ours, for a hand of this size.
+- Radii and the places of the metacarpals' bases are ours, for a hand of this size.
 """
 
 from __future__ import annotations
@@ -31,8 +31,6 @@ import numpy as np
 
 from dgrasp.hand.skeleton import FINGERS, PARTS
 from dgrasp.types import Array
-from raisim_like.rotations import quaternion_from_matrix
-from raisim_like.shapes import Shape
 
 HAND_BREADTH = 0.085
 """m, across the four knuckles."""
@@ -59,7 +57,7 @@ RADII = {
     "little": (0.0080, 0.0070, 0.0065),
     "thumb": (0.0125, 0.0105, 0.0095),
 }
-"""Radii in m of the capsules."""
+"""Radii in m about each joint; the skin scales its profiles by them."""
 
 METACARPAL_BASES = {"index": (0.005, 0.015), "middle": (0.0, 0.0), "ring": (0.001, -0.013), "little": (0.004, -0.025)}
 """(x towards the wrist, z) in m, relative to the base of the third metacarpal."""
@@ -76,11 +74,6 @@ THUMB_RADIAL_DEG, THUMB_PALMAR_DEG = 42.0, 18.0
 """Direction of the straight thumb: degrees from -x towards +z, and out of the palm's plane towards -y."""
 THUMB_PRONATION_DEG = 45.0
 """Flexion plane of the thumb's two outer joints: 0 would close it towards the palm's normal, 90 across the palm."""
-
-PALM_THICKNESS, PALM_CENTER_Y = 0.028, -0.004
-"""m; the palm is thicker on its inner side."""
-THENAR = ((-0.012, -0.012, 0.017), (-0.048, -0.016, 0.015), 0.013)
-"""Capsule of the ball of the thumb: its two centres in the wrist frame and its radius, m."""
 
 SLACK_DEG = 10.0
 """Added to both ends of every anatomical range below."""
@@ -104,25 +97,13 @@ THUMB_RANGES: tuple[Ranges, Ranges, Ranges] = (
 class HandPart:
     """One rigid part. offset: (3,) m, its frame's origin in the parent part's frame, both parallel at zero pose.
 
-    limits: (3, 2) rad for the rotations about x, y, z. shapes: in the part's frame.
+    limits: (3, 2) rad for the rotations about x, y, z.
     """
 
     name: str
     parent: str
     offset: Array
     limits: Array
-    shapes: tuple[Shape, ...]
-
-
-def _capsule(start: Array, end: Array, radius: float) -> Shape:
-    """A capsule whose straight part runs from `start` to `end`."""
-    axis = (end - start) / np.linalg.norm(end - start)
-    side = np.cross([0.0, 1.0, 0.0], axis)
-    side /= np.linalg.norm(side)
-    frame = np.stack([side, np.cross(axis, side), axis], axis=1)
-    x, y, z = (start + end) / 2
-    size = (radius, float(np.linalg.norm(end - start)))
-    return Shape("capsule", size, (x, y, z), tuple(quaternion_from_matrix(frame)))
 
 
 def knuckles() -> dict[str, Array]:
@@ -142,22 +123,6 @@ def knuckles() -> dict[str, Array]:
         reach = math.sqrt(length**2 - (z[finger] - base_z) ** 2 - drop**2)
         found[finger] = np.array([-0.75 * CARPAL_HEIGHT + base_x - reach, -drop, z[finger]])
     return found
-
-
-def _palm_shapes() -> tuple[Shape, ...]:
-    """Two boxes, along the metacarpals of index and middle and of ring and little finger, and the thenar capsule."""
-    heads = knuckles()
-    shapes = []
-    for first, second, start_z in (("index", "middle", 0.010), ("ring", "little", -0.012)):
-        start = np.array([0.0, PALM_CENTER_Y, start_z])
-        end = (heads[first] + heads[second]) / 2
-        end[1] = PALM_CENTER_Y
-        width = HAND_BREADTH * (RADII[first][0] + RADII[second][0]) / sum(RADII[f][0] for f in METACARPALS)
-        half = math.atan2(end[2] - start[2], start[0] - end[0]) / 2
-        x, y, z = (start + end) / 2
-        size = (float(np.linalg.norm(end - start)), PALM_THICKNESS, width)
-        shapes.append(Shape("box", size, (x, y, z), (math.cos(half), 0.0, math.sin(half), 0.0)))
-    return (*shapes, _capsule(np.array(THENAR[0]), np.array(THENAR[1]), THENAR[2]))
 
 
 def finger_direction(finger: str) -> Array:
@@ -199,22 +164,14 @@ def anatomical_limits(finger: str, segment: int, bone: Array) -> Array:
 def hand_parts() -> tuple[HandPart, ...]:
     """The 16 parts in the order of `skeleton.PARTS`."""
     full_turn = np.tile([-math.pi, math.pi], (3, 1))
-    parts = [HandPart("palm", "world", np.zeros(3), full_turn, _palm_shapes())]
+    parts = [HandPart("palm", "world", np.zeros(3), full_turn)]
     bases = {**knuckles(), "thumb": np.array(THUMB_BASE)}
     for finger in FINGERS:
         direction, offset, parent = finger_direction(finger), bases[finger], "palm"
-        for segment, (length, radius) in enumerate(zip(BONES[finger], RADII[finger], strict=True)):
+        for segment, length in enumerate(BONES[finger]):
             name = PARTS[1 + 3 * FINGERS.index(finger) + segment]
-            # The last capsule ends in the tip's skin, the others in the next joint.
-            end = direction * (length - radius if segment == 2 else length)
-            shape = _capsule(np.zeros(3), end, radius)
             # The fingers' small spread is left out of their axes.
             bone = direction if finger == "thumb" else np.array([-1.0, 0.0, 0.0])
-            parts.append(HandPart(name, parent, offset, anatomical_limits(finger, segment, bone), (shape,)))
+            parts.append(HandPart(name, parent, offset, anatomical_limits(finger, segment, bone)))
             offset, parent = direction * length, name
     return tuple(parts)
-
-
-def tip_offsets() -> dict[str, tuple[str, Array]]:
-    """Per distal part the name of its tip and the (3,) tip's place in the part's frame, m."""
-    return {f"{f}_distal": (f"{f}_tip", finger_direction(f) * BONES[f][2]) for f in FINGERS}

@@ -1,6 +1,7 @@
-"""The free hand as a RaiSim-style URDF: `python -m dgrasp.hand.free_hand [FILE]` writes it, always the same bytes.
+"""The free hand as a RaiSim-style URDF: `python -m dgrasp.hand.free_hand [FILE]` writes it.
 
-The design stands in `dgrasp.hand.free_anatomy`, the layout of the file in `dgrasp.hand.urdf_writer`.
+It is cut from the skin that ships (`dgrasp.hand.free_skin`) the way a MANO hand is: a capsule per finger part, a box
+for the palm. Its joint limits are those of `dgrasp.hand.free_anatomy`.
 """
 
 from __future__ import annotations
@@ -10,32 +11,23 @@ from pathlib import Path
 
 import numpy as np
 
-from dgrasp.hand.free_anatomy import HandPart, hand_parts, tip_offsets
-from dgrasp.hand.urdf_writer import LinkPart, hand_urdf
-from dgrasp.objects.inertia import combine, shape_properties
-
-HAND_NAME = "free"
-"""The hand's id in labels (`GraspLabel.hand`)."""
+from dgrasp.hand.build import primitive_links
+from dgrasp.hand.free_skin import free_limits, free_skin
+from dgrasp.hand.skeleton import DISTAL_PARTS
+from dgrasp.hand.urdf_writer import hand_urdf
 
 URDF_PATH = Path(__file__).resolve().parents[2] / "data" / "free" / "hand" / "free_hand.urdf"
 """The generated file that ships."""
-
-DENSITY = 1100.0
-"""kg/m^3 of every part; overlaps of neighbouring shapes count twice."""
-
-
-def _link(part: HandPart) -> LinkPart:
-    whole = combine(shape_properties(shape) for shape in part.shapes)
-    mass = DENSITY * whole.volume
-    return LinkPart(part.offset, part.limits, part.shapes, mass, whole.center_of_mass, whole.inertia_of(mass))
 
 
 def free_hand_urdf() -> str:
     """The text of the URDF."""
     command = "python -m dgrasp.hand.free_hand"
-    comment = f"Written by `{command}`; change dgrasp/hand/free_anatomy.py, not this file."
-    tips = np.array([offset for _, offset in tip_offsets().values()])
-    return hand_urdf("free_hand", comment, [_link(part) for part in hand_parts()], tips, massless=True)
+    comment = f"Written by `{command}` from free_skin.npz; change dgrasp/hand/free_anatomy.py, not this file."
+    model = free_skin()
+    vertices, joints = model.shaped(np.zeros(0))
+    tips = vertices[model.tip_vertices] - joints[DISTAL_PARTS]
+    return hand_urdf("free_hand", comment, primitive_links(model, free_limits()), tips, massless=True)
 
 
 def main(arguments: list[str]) -> None:

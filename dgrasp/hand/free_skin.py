@@ -19,6 +19,9 @@ from dgrasp.labels.npz_reader import open_npz
 from dgrasp.paths import data_root
 from dgrasp.types import Array
 
+HAND_NAME = "free"
+"""The hand's id in labels (`GraspLabel.hand`)."""
+
 SKIN_FILE = "free_skin.npz"
 FORMAT, SCHEMA = "dgrasp-hand-model", 1
 LICENCE = "MIT, as the project"

@@ -36,6 +36,9 @@ N_KEYPOINTS = len(KEYPOINTS)
 ACTION_SIZES = {"grasp": N_DOF, "motion": N_WRIST_DOF, "flat": N_DOF}
 """How many numbers the policy of an `env.task` has to say: all joints, or the wrist alone."""
 
+DISTAL_PARTS = [i for i, name in enumerate(PARTS) if name.endswith("_distal")]
+"""Indices of the five fingers' last parts, order of `FINGERS`."""
+
 THUMB_TIP_PART = PARTS.index("thumb_distal")
 
 PART_PARENT = (-1, *(0 if segment == "proximal" else 3 * f + s for f in range(5) for s, segment in enumerate(SEGMENTS)))

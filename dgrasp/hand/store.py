@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from dgrasp.errors import DataError
-from dgrasp.hand.free_hand import HAND_NAME as FREE_HAND
+from dgrasp.hand.free_skin import HAND_NAME as FREE_HAND
 from dgrasp.hand.model import HandModel, load_hand
 from dgrasp.hand.skeleton import PARTS
 from dgrasp.paths import data_root

@@ -11,8 +11,7 @@ import numpy as np
 from dgrasp.errors import DataError
 from dgrasp.geometry.intersection import Body, body
 from dgrasp.geometry.shape_mesh import shape_mesh
-from dgrasp.hand.free_hand import HAND_NAME
-from dgrasp.hand.free_skin import SKIN_FILE, free_skin
+from dgrasp.hand.free_skin import HAND_NAME, SKIN_FILE, free_skin
 from dgrasp.hand.mano import read_mano
 from dgrasp.hand.mano_model import ManoModel, mirror_mano
 from dgrasp.hand.model import HandModel

@@ -1,16 +1,13 @@
-"""Signed distances between the hand's parts and an object of primitive shapes, for many hands at once.
-
-The paper counts a part as touching when it is within 0.015 m of the object (section 3.1, docs/deviations.md).
-"""
+"""The hand's surface as spheres, and where its parts are, for many hands at once."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 
+from dgrasp.errors import DataError
 from dgrasp.hand.model import HandModel
 from dgrasp.hand.skeleton import N_PARTS, PART_PARENT
 from dgrasp.types import Array
@@ -18,50 +15,10 @@ from raisim_like.rotations import matrix_from_euler, matrix_from_quaternion
 from raisim_like.shapes import Shape
 
 CONTACT_DISTANCE = 0.015
-"""m. A part this close to the object should touch it."""
+"""m. A part this close to the object should touch it (section 3.1, docs/deviations.md)."""
 
 _AXIS_SPACING = 0.004
 _FACE_SPACING = 0.015
-
-
-def signed_distance(shapes: Sequence[Shape], points_O: Array) -> Array:
-    """(...) m: distance of points (..., 3) to the union of primitives, negative inside.
-
-    Exact outside; inside the union it is the depth in the deepest primitive.
-    """
-    # One row per coordinate: numpy reduces short last axes slowly.
-    rows = points_O.reshape(-1, 3).T
-    best = np.full(rows.shape[1], np.inf)
-    for shape in shapes:
-        R = matrix_from_quaternion(np.array(shape.quaternion))
-        x, y, z = np.abs(R.T @ rows - (R.T @ np.array(shape.position))[:, None])
-        if shape.kind == "box":
-            a, b, c = shape.size
-            distance = _beyond(x - a / 2, y - b / 2, z - c / 2)
-        elif shape.kind == "cylinder":
-            radius, length = shape.size
-            distance = _beyond(np.sqrt(x * x + y * y) - radius, z - length / 2)
-        elif shape.kind == "capsule":
-            radius, length = shape.size
-            z = np.maximum(z - length / 2, 0.0)
-            distance = np.sqrt(x * x + y * y + z * z) - radius
-        elif shape.kind == "sphere":
-            distance = np.sqrt(x * x + y * y + z * z) - shape.size[0]
-        else:
-            raise ValueError(f"the distance to a {shape.kind} needs its file; expected a primitive")
-        np.minimum(best, distance, out=best)
-    return best.reshape(points_O.shape[:-1])
-
-
-def _beyond(*excess: Array) -> Array:
-    """Distance to a product of intervals, from how far each coordinate lies beyond its interval."""
-    squares = np.zeros_like(excess[0])
-    deepest = excess[0]
-    for coordinate in excess:
-        squares += np.maximum(coordinate, 0.0) ** 2
-        deepest = np.maximum(deepest, coordinate)
-    distance: Array = np.sqrt(squares) + np.minimum(deepest, 0.0)
-    return distance
 
 
 @dataclass(frozen=True)
@@ -74,7 +31,7 @@ class HandSpheres:
 
     @classmethod
     def of_hand(cls, hand: HandModel) -> HandSpheres:
-        """Capsules become spheres along their axes, boxes points on their faces (radius 0)."""
+        """Capsules become spheres along their axes, boxes points on their faces, hulls their vertices (radius 0)."""
         centers: list[Array] = []
         radii: list[Array] = []
         parts: list[Array] = []
@@ -115,8 +72,12 @@ def _spheres(shape: Shape) -> tuple[Array, float]:
         radius, length = shape.size
         z = np.linspace(-length / 2, length / 2, max(2, int(np.ceil(length / _AXIS_SPACING)) + 1))
         return np.stack([0 * z, 0 * z, z], axis=1), radius
+    if shape.kind == "hull":
+        import trimesh  # Late: it takes a second to import.
+
+        return np.array(trimesh.load_mesh(shape.file).vertices), 0.0
     if shape.kind != "box":
-        raise ValueError(f"a hand of {shape.kind} shapes; expected capsules and boxes")
+        raise DataError(f"a hand with a {shape.kind} as collision shape; expected capsules, boxes and hulls")
     grids = [np.linspace(-s / 2, s / 2, max(2, int(np.ceil(s / _FACE_SPACING)) + 1)) for s in shape.size]
     grid = np.stack(np.meshgrid(*grids, indexing="ij"), axis=-1).reshape(-1, 3)
     on_face = (np.abs(grid) >= np.array(shape.size) / 2 - 1e-12).any(axis=1)
@@ -142,19 +103,3 @@ def part_poses(hand: Chain, T_WH: Array, hand_pose: Array) -> tuple[Array, Array
         t[:, part] = t[:, parent] + np.matmul(R[:, parent], hand.offsets[part])
         R[:, part] = np.matmul(R[:, parent], turn[:, part - 1])
     return R, t
-
-
-def part_distances(
-    hand: HandModel, spheres: HandSpheres, shapes: Sequence[Shape], T_WH: Array, hand_pose: Array, T_WO: Array
-) -> Array:
-    """(N, 16) m between the hand's parts and the object at T_WO (N, 4, 4), negative where they overlap."""
-    centers_W = spheres.place(*part_poses(hand, T_WH, hand_pose))
-    centers_O = np.matmul(centers_W - T_WO[:, None, :3, 3], T_WO[:, :3, :3])
-    return spheres.per_part(signed_distance(shapes, centers_O))
-
-
-def hand_bottom(hand: HandModel, spheres: HandSpheres, T_WH: Array, hand_pose: Array) -> Array:
-    """(N,) m: height of the hand's lowest point in the world."""
-    centers_W = spheres.place(*part_poses(hand, T_WH, hand_pose))
-    bottom: Array = (centers_W[..., 2] - spheres.radii).min(axis=1)
-    return bottom

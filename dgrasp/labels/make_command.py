@@ -171,8 +171,7 @@ def _make(task: _Task) -> tuple[list[GraspLabel], dict[str, Any]]:
 
 def _write(files: list[Path], made: list[list[GraspLabel]], arguments: argparse.Namespace, hand: NamedHand,
            figures: dict[str, dict[str, Any]]) -> None:
-    from dgrasp.labels.make_free import split
-    from dgrasp.labels.making import numbered
+    from dgrasp.labels.making import numbered, split
     from dgrasp.labels.native import write_native
 
     everything = [label for labels in made for label in labels]

@@ -74,3 +74,16 @@ def numbered(labels: list[GraspLabel]) -> list[GraspLabel]:
         counts[label.object_id] = index + 1
         out.append(replace(label, index=index))
     return out
+
+
+def split(labels: list[list[GraspLabel]], n_test: int, seed: int) -> tuple[list[GraspLabel], list[GraspLabel]]:
+    """Train and test labels of equally long lists, one list per object, each split in the same proportion."""
+    share, extra = divmod(n_test, len(labels))
+    more = set(np.random.default_rng([seed, 0]).permutation(len(labels))[:extra].tolist())
+    train: list[GraspLabel] = []
+    test: list[GraspLabel] = []
+    for k, mine in enumerate(labels):
+        cut = share + (k in more)
+        test += [replace(label, index=i) for i, label in enumerate(mine[:cut])]
+        train += [replace(label, index=i) for i, label in enumerate(mine[cut:])]
+    return train, test

@@ -15,10 +15,12 @@ from dgrasp.labels.distance import CONTACT_DISTANCE
 from dgrasp.labels.source import sha256_of
 from dgrasp.objects.body import DETAILED_MESH
 from dgrasp.objects.inertia import load_mesh
+from dgrasp.objects.store import MESH_FILE
 from dgrasp.types import Array
 
-MESHES = ("textured_simple.obj", DETAILED_MESH)
-"""An object's mesh in DexYCB's `models/NAME/` and in a release's `objects/NAME/`, in the order of preference."""
+MESHES = ("textured_simple.obj", DETAILED_MESH, MESH_FILE)
+"""An object's mesh in DexYCB's `models/NAME/`, a release's `objects/NAME/` and the folder of an object that `dgrasp
+object add` wrote, in the order of preference."""
 SPACING = 0.005
 """m. Edges of a mesh are halved until they are this short: the large faces of a box have no vertices of their own."""
 MAX_POINTS, MAX_FILE_BYTES = 1_000_000, 64 * 2**20

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,11 +15,14 @@ from dgrasp.errors import ConfigError
 from dgrasp.geometry.distance_grid import distance_grid, triangle_distances
 from dgrasp.geometry.intersection import body
 from dgrasp.geometry.shape_mesh import shape_mesh
+from dgrasp.hand import approximate
 from dgrasp.hand.motions import MOTIONS, hand_motions
 from dgrasp.hand.skeleton import N_PARTS, PARTS
+from dgrasp.hand.store import open_hand
 from dgrasp.labels import make_command, synthesis
-from dgrasp.labels.distance import HandSpheres, hand_bottom, part_distances, part_poses, signed_distance
+from dgrasp.labels.distance import HandSpheres, part_poses
 from dgrasp.labels.native import read_native_with_meta
+from dgrasp.labels.surfaces import Surfaces
 from dgrasp.labels.synth_energy import Grasps, energies, let_yield, optimise, residual_wrench
 from dgrasp.labels.synth_start import Setting, propose
 from dgrasp.labels.synth_torch import ObjectField, TorchHand, tensor
@@ -27,10 +31,13 @@ from dgrasp.labels.synthesis_report import joint_distances
 from dgrasp.objects.free import free_object
 from dgrasp.objects.inertia import object_model
 from dgrasp.objects.resting import resting_rotations, turn_down
+from dgrasp.objects.store import load_object
 from dgrasp.scene.scene import TABLE_TOP
 from dgrasp.types import GraspLabel
 from raisim_like.rotations import matrix_from_euler
 from raisim_like.shapes import Shape
+from tests.labels.distances import hand_bottom, part_distances, signed_distance
+from tests.objects.meshes import box, save
 from tests.scenes import free_hand, make_label
 
 BRICK = "061_foam_brick"
@@ -257,6 +264,29 @@ def test_same_seed_same_labels(made: synthesis.Synthesised) -> None:
         assert np.array_equal(a.hand_pose, b.hand_pose) and np.array_equal(a.T_WH, b.T_WH)
         assert a.start is not None and b.start is not None and np.array_equal(a.start.T_WH, b.start.T_WH)
     assert np.array_equal(made.held, again.held)
+
+
+def test_a_left_hand_of_hulls_and_an_added_object(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(approximate, "_FIT_POINTS", 500)
+    monkeypatch.setenv("DGRASP_CACHE", str(tmp_path / "cache"))
+    left = tmp_path / "left"
+    assert run_command("hand build", ["--free", "--side", "left", "--shapes", "hulls", "--out", str(left)]) == 0
+    mesh = save(box((0.05, 0.07, 0.12)), tmp_path / "carton.obj")
+    words = [str(mesh), "--mass", "0.2", "--to", str(tmp_path / "mine"), "--shape", "box"]
+    assert run_command("object add", words) == 0
+    model, named = load_object(tmp_path / "mine" / "carton", True), open_hand(str(left))
+    config = make_config({"eval": {"window_s": 0.3}}, "test")
+    made = Synthesiser(named.model, "left").make(model, 2, np.random.default_rng(3), config, batch=10, iterations=36)
+    surfaces = Surfaces([tmp_path / "mine"])
+    for label in made.labels:
+        assert (label.object_id, label.hand) == ("carton", named.model.id)
+        assert label.hand.startswith("free_left-") and label.start is not None
+        # The vertices of the hulls, which are parts of the skin, are near the box where the label says so.
+        R, t = part_poses(named.model, label.T_WH[None], label.hand_pose[None])
+        spheres = HandSpheres.of_hand(named.model)
+        points_O = (spheres.place(R, t)[0] - label.T_WO[:3, 3]) @ label.T_WO[:3, :3]
+        near = surfaces["carton"].near_parts(points_O, spheres.parts)
+        assert label.goal_contacts.sum() >= 3 and (near != label.goal_contacts).sum() <= 1
 
 
 def test_an_object_that_no_hand_spans_is_refused(hand: TorchHand) -> None:

@@ -12,11 +12,11 @@ import trimesh
 from dgrasp.errors import DataError
 from dgrasp.geometry.intersection import body
 from dgrasp.geometry.shape_mesh import shape_mesh
-from dgrasp.labels.distance import signed_distance
 from dgrasp.objects.catalogue import CATALOGUE, CatalogueObject, catalogue_object
 from dgrasp.objects.free import free_object
 from dgrasp.objects.free_mesh import free_mesh, main
 from dgrasp.objects.inertia import load_mesh
+from tests.labels.distances import signed_distance
 
 each_object = pytest.mark.parametrize("entry", CATALOGUE, ids=lambda entry: entry.name)
 HANDLES = {"019_pitcher_base": 1, "025_mug": 1, "037_scissors": 2}

@@ -7,21 +7,21 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dgrasp.config import Config
-from dgrasp.errors import ConfigError
 from dgrasp.hand.free_hand import HAND_NAME, URDF_PATH
 from dgrasp.hand.model import HandModel, load_hand
-from dgrasp.labels import make_free
-from dgrasp.labels.distance import HandSpheres, hand_bottom, part_distances, signed_distance
+from dgrasp.labels.distance import HandSpheres
 from dgrasp.labels.free_rest import lowest, place_at_rest
-from dgrasp.labels.make_free import MAX_OVERLAP, START_CLEARANCE, check_holds, main, make_labels, split
+from dgrasp.labels.making import split
 from dgrasp.labels.native import read_native_with_meta
+from dgrasp.labels.synth_path import START_CLEARANCE
+from dgrasp.labels.synthesis import MAX_DEPTH
 from dgrasp.objects.catalogue import CATALOGUE
 from dgrasp.objects.free import free_object
 from dgrasp.paths import package_file
 from dgrasp.scene.scene import TABLE_TOP
 from dgrasp.types import GraspLabel
 from raisim_like.shapes import Shape
+from tests.labels.distances import hand_bottom, part_distances, signed_distance
 
 FILES = {name: package_file(f"data/free/labels/free_{name}.npz") for name in ("train", "test")}
 
@@ -152,7 +152,7 @@ def test_hand_object_and_table(name: str, shipped: list[GraspLabel], hand: HandM
     contacts = stack(labels, "goal_contacts")
     np.testing.assert_array_equal(contacts, distance < 0.015)
     assert (contacts[:, 13:].any(axis=1) & contacts[:, 1:13].any(axis=1)).all()
-    assert distance.min() > -MAX_OVERLAP
+    assert distance.min() > -MAX_DEPTH
     assert hand_bottom(hand, spheres, T_WH, pose).min() > TABLE_TOP
     start_WH, start_pose = np.array([s.T_WH for s in starts]), np.array([s.hand_pose for s in starts])
     assert hand_bottom(hand, spheres, start_WH, start_pose).min() > TABLE_TOP + START_CLEARANCE
@@ -168,42 +168,8 @@ def test_some_grasps_hold_and_some_do_not(shipped: list[GraspLabel]) -> None:
     assert 0.2 < sum(held.values()) / len(shipped) < 0.5
 
 
-# Making them ---------------------------------------------------------------------------------------
-
-
-def same(a: GraspLabel, b: GraspLabel) -> bool:
-    assert a.start is not None and b.start is not None
-    pairs = [(getattr(a, k), getattr(b, k)) for k in ("hand_pose", "T_WH", "T_WO", "joints_W", "goal_contacts")]
-    pairs += [(getattr(a.start, k), getattr(b.start, k)) for k in ("hand_pose", "T_WH", "T_WO")]
-    return all(np.array_equal(x, y) for x, y in pairs)
-
-
-def test_same_seed_same_labels(hand: HandModel, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(make_free, "HOLD_STEPS", 12)
-    first, held = make_labels("061_foam_brick", 2, 7, hand, Config())
-    second, held_again = make_labels("061_foam_brick", 2, 7, hand, Config())
-    assert len(first) == 2 and np.array_equal(held, held_again)
-    assert all(same(a, b) for a, b in zip(first, second, strict=True))
-
-
-def test_an_object_beside_the_hand_falls(hand: HandModel, shipped: list[GraspLabel]) -> None:
-    label = of_object(shipped, "061_foam_brick")[0]
-    T = label.T_WH.copy()
-    T[:3, 3] += 0.0, 0.0, 1.0
-    far = GraspLabel(**{**vars(label), "T_WH": T})
-    model = free_object(label.object_id, "official", True)
-    # From 0.25 m a body falls for 0.23 s, which is 8 control steps.
-    assert not check_holds([far], hand, model, Config()).any()
-
-
 def test_split_is_proportional_and_renumbered(shipped: list[GraspLabel]) -> None:
     lists = [shipped[:25], shipped[25:50], shipped[50:75]]
     train, test = split(lists, 20, seed=1)
     assert (len(train), len(test)) == (55, 20)
     assert sorted([label.index for label in test]) == sorted([*range(7), *range(7), *range(6)])
-
-
-@pytest.mark.parametrize("options", [["--train", "375"], ["--train", "10", "--test", "10"], ["--seed", "-1"]])
-def test_impossible_numbers_are_refused(tmp_path: Path, options: list[str]) -> None:
-    with pytest.raises(ConfigError, match="multiple"):
-        main(["--out", str(tmp_path), *options])
