@@ -6,13 +6,13 @@ Every number of the paper's tables of hyperparameters is a default here; `cfg/` 
 from __future__ import annotations
 
 import difflib
-import re
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
+from dgrasp.config_values import apply_overrides, parse_yaml
 from dgrasp.errors import ConfigError
 
 Positive = Annotated[float, Field(gt=0)]
@@ -147,7 +147,7 @@ class MotionConfig(_Section):
     alone. per_label: how many targets each grasp is moved to; null takes one of a set, all of a file. steps: control
     steps of the motion. beta_position, beta_rotation: the gain beta, reached after ramp_position and ramp_rotation
     control steps in equal steps. stable_alone: leave out grasps that fail the stability test, as the paper does.
-    static_fingers: what the baseline "static grasp" holds, the fingers' last PD targets or their pose.
+    static_fingers: what the baseline "static grasp" holds, the fingers' pose or their last PD targets.
 
     policy: of the tasks motion and flat, the checkpoint of the grasping policy that makes, or chooses, the grasps.
     sigma_position, sigma_rotation: m and rad that an action of 1 moves the wrist's target in those tasks.
@@ -161,7 +161,7 @@ class MotionConfig(_Section):
     ramp_position: Count = 1000
     ramp_rotation: Count = 2000
     stable_alone: bool = True
-    static_fingers: Literal["target", "pose"] = "target"
+    static_fingers: Literal["pose", "target"] = "pose"
     policy: str | None = None
     sigma_position: Positive = 0.01
     sigma_rotation: Positive = 0.01
@@ -289,35 +289,6 @@ class Config(_Section):
         return self
 
 
-class _Loader(yaml.SafeLoader):
-    """SafeLoader that reads 1e-3 as a number, as YAML 1.2 does, and refuses duplicate keys."""
-
-    def construct_mapping(self, node: Any, deep: bool = False) -> dict[Any, Any]:
-        seen: set[Any] = set()
-        for key_node, _ in node.value:
-            key = self.construct_object(key_node, deep=True)
-            if not isinstance(key, str):
-                raise yaml.constructor.ConstructorError(None, None, f"key {key!r} is not text", key_node.start_mark)
-            if key in seen:
-                raise yaml.constructor.ConstructorError(None, None, f"duplicate key {key!r}", key_node.start_mark)
-            seen.add(key)
-        return super().construct_mapping(node, deep=deep)
-
-
-_Loader.add_implicit_resolver(
-    "tag:yaml.org,2002:float",
-    re.compile(r"^[-+]?(\d[\d_]*\.?[\d_]*|\.[\d_]+)[eE][-+]?\d+$"),
-    list("-+0123456789."),
-)
-
-
-def _parse_yaml(text: str, where: str) -> Any:
-    try:
-        return yaml.load(text, Loader=_Loader)
-    except (yaml.YAMLError, RecursionError, ValueError) as error:
-        raise ConfigError(f"{where}: not valid YAML ({' '.join(str(error).split())})") from None
-
-
 def config_keys(model: type[BaseModel] = Config, prefix: str = "") -> list[str]:
     """All dotted keys of the configuration."""
     keys = []
@@ -340,28 +311,6 @@ def _nearest(path: str) -> str:
         close = [k for k in candidates if k.rsplit(".", 1)[-1] in difflib.get_close_matches(
             tail, [c.rsplit(".", 1)[-1] for c in candidates], n=1, cutoff=0.5)][:1]
     return f"; did you mean {close[0]!r}?" if close else ""
-
-
-def apply_overrides(values: dict[str, Any], overrides: list[str]) -> dict[str, Any]:
-    """`values` with dotted `key=value` overrides laid over them; the values are YAML."""
-    merged = _copy(values)
-    for item in overrides:
-        key, separator, text = item.partition("=")
-        if not separator or not key:
-            raise ConfigError(f"override {item!r}: expected key=value, such as ppo.epochs=100")
-        node = merged
-        *parents, leaf = key.split(".")
-        for parent in parents:
-            child = node.setdefault(parent, {})
-            if not isinstance(child, dict):
-                raise ConfigError(f"override {item!r}: {parent!r} is not a section")
-            node = child
-        node[leaf] = _parse_yaml(text, f"override {item!r}")
-    return merged
-
-
-def _copy(value: Any) -> Any:
-    return {k: _copy(v) for k, v in value.items()} if isinstance(value, dict) else value
 
 
 def make_config(values: dict[str, Any], where: str = "config") -> Config:
@@ -388,7 +337,7 @@ def load_config(path: Path | None, overrides: list[str] | None = None) -> Config
             text = Path(path).read_text(encoding="utf-8")
         except (OSError, UnicodeDecodeError) as error:
             raise ConfigError(f"{path}: cannot read the config ({error})") from None
-        values = _parse_yaml(text, str(path))
+        values = parse_yaml(text, str(path))
         values = {} if values is None else values
         if not isinstance(values, dict):
             raise ConfigError(f"{path}: expected a mapping of config keys, got {type(values).__name__}")

@@ -70,6 +70,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--table", choices=(*NAMES, "all"), help="a table of the paper: evaluate what is there, say "
                         "how to train the rest")
     parser.add_argument("--budget", type=float, metavar="MINUTES", help="with --table: train what is missing, so long")
+    parser.add_argument("--seeds", type=_numbers, default=[], metavar="K,K,...",
+                        help="with --table: policies of these seeds, averaged (default: the config's one)")
     parser.add_argument("--runs", type=Path, default=Path("runs/tables"), metavar="DIR",
                         help="with --table: where its runs and results are (default: runs/tables)")
     parser.add_argument("--motion", metavar="easy|ood|circle|pour|FILE",
@@ -88,6 +90,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                         "export`")
     parser.add_argument("--gif", type=Path, metavar="FILE", help="write a GIF of some of the grasps")
     parser.add_argument("overrides", nargs="*", metavar="key=value", help="config keys, such as seed=3 pool.workers=2")
+
+
+def _numbers(text: str) -> list[int]:
+    numbers = [int(word) for word in text.split(",")]
+    if min(numbers) < 0:
+        raise ValueError("a seed is at least 0")
+    return numbers
 
 
 def main(arguments: argparse.Namespace) -> int:

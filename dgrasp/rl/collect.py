@@ -177,6 +177,7 @@ def collect(
         else:
             means = np.empty((np.count_nonzero(active), action.shape[1]), np.float32)
             actor.means(observation[active], means)
+            action[:] = 0.0
             action[active] = means
         action += noise[t]
         out.actions[t] = action

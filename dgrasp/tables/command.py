@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import argparse
 import json
-from pathlib import Path
+import time
 
 from dgrasp.errors import ConfigError
-from dgrasp.tables.fill import Tables
+from dgrasp.tables.fill import Tables, fill
 from dgrasp.tables.plan import plans
 from dgrasp.tables.show import show, write
 
@@ -19,15 +19,18 @@ def main(arguments: argparse.Namespace) -> int:
                           "(--policy FILE stands in for the policy of all objects)")
     given = {"data": arguments.data, "engine": arguments.engine, "eval.window_s": arguments.window}
     overrides = [f"{key}={json.dumps(value)}" for key, value in given.items() if value is not None]
-    root: Path = arguments.runs
-    tables = Tables(
-        root, arguments.cfg, [*overrides, *arguments.overrides], arguments.policy, arguments.budget,
-    )  # fmt: skip
+    overrides += arguments.overrides
+    root, budget = arguments.runs, arguments.budget
+    each = [[*overrides, f"seed={seed}"] for seed in dict.fromkeys(arguments.seeds)] or [overrides]
+    seeds = [Tables(root, arguments.cfg, words, arguments.policy) for words in each]
     chosen = plans(arguments.table)
-    tables.train_missing(chosen)
+    end = None if budget is None else time.monotonic() + 60.0 * budget
+    for i, one in enumerate(seeds):
+        if end is not None:
+            one.train_missing(chosen, (end - time.monotonic()) / 60.0 / (len(seeds) - i))
     root.mkdir(parents=True, exist_ok=True)
     for plan in chosen:
-        rows = tables.fill(plan)
+        rows = fill(plan, seeds)
         show(plan, rows)
         write(plan, rows, root)
     return 0

@@ -7,7 +7,7 @@ import hashlib
 import json
 import shlex
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -18,7 +18,7 @@ from dgrasp.config import Config, load_config
 from dgrasp.data import DataChoice, resolve
 from dgrasp.errors import DataError, DGraspError
 from dgrasp.eval.motion import usual_set
-from dgrasp.eval.summary import Row, summarise
+from dgrasp.eval.summary import Result, Row, summarise
 from dgrasp.rl import checkpoint
 from dgrasp.runs import read_run
 from dgrasp.tables.plan import ALL_OBJECTS, Line, Plan, Trained, Trial
@@ -33,7 +33,8 @@ class Cells:
     """A filled row. values: metric -> mean over objects; intervals: metric -> [low, high]; n: labels (or motions).
 
     missing: why there are no values. notes: what a reader must know of them. comparable: hand and labels are the
-    paper's. commands: what evaluates it by hand.
+    paper's. commands: what evaluates it by hand. seeds: with several, seed -> its own values; then `values` are means
+    over all seeds, and n counts a label once for each.
     """
 
     line: Line
@@ -44,6 +45,19 @@ class Cells:
     missing: list[str] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
     commands: list[str] = field(default_factory=list)
+    seeds: dict[int, dict[str, float]] = field(default_factory=dict)
+
+
+@dataclass
+class Found:
+    """What one seed has of a row: its labels' rows, the evaluations that they are from, and as in `Cells`."""
+
+    seed: int
+    rows: list[Row] = field(default_factory=list)
+    results: list[dict[str, Any]] = field(default_factory=list)
+    missing: list[str] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+    commands: list[str] = field(default_factory=list)
 
 
 class Tables:
@@ -51,16 +65,17 @@ class Tables:
 
     cfg: the recipe that policies are trained with. overrides: keys for trainings and evaluations alike, such as data,
     engine and seed. policy: a checkpoint that stands in for the policy of all objects, such as one that the authors
-    published. budget_min: minutes for all trainings that are missing together; None trains nothing.
+    published.
     """
 
     def __init__(
         self, root: Path, cfg: Path | None, overrides: Sequence[str], policy: Path | None = None,
-        budget_min: float | None = None, say: Say = print,
+        say: Say = print,
     ) -> None:  # fmt: skip
         self.cfg = cfg or Path("cfg/dexycb.yaml")
-        self.overrides, self.policy, self.budget_min, self.say = list(overrides), policy, budget_min, say
+        self.overrides, self.policy, self.say = list(overrides), policy, say
         config = self._config([])
+        self.seed = config.seed
         self.root = root / f"{config.name}_{config.engine}_seed{config.seed}"
         self.results = root / "results"
 
@@ -99,12 +114,10 @@ class Tables:
             return "train"
         return "resume" if read_run(folder).state in ("stopped", "new") else None
 
-    def train_missing(self, plans: Sequence[Plan]) -> None:
-        """Train what the tables lack within the budget, each run with an equal share of what is left of it."""
-        if self.budget_min is None:
-            return
+    def train_missing(self, plans: Sequence[Plan], budget_min: float) -> None:
+        """Train what the tables lack in so many minutes, each run with an equal share of what is left of them."""
         todo = [run for run in needed(plans) if self._needs(run) is not None]
-        end = time.monotonic() + 60.0 * self.budget_min
+        end = time.monotonic() + 60.0 * budget_min
         for i, run in enumerate(todo):
             share = max((end - time.monotonic()) / 60.0 / (len(todo) - i), 0.01)
             if run.policy is not None and not self._is_trained(run.policy):
@@ -120,39 +133,27 @@ class Tables:
 
     # Evaluations -------------------------------------------------------------------------------
 
-    def fill(self, plan: Plan) -> list[Cells]:
-        """The rows of a table, with what there is."""
-        return [self._fill_line(line, plan.name == "motion") for line in plan.lines]
-
-    def _fill_line(self, line: Line, motion: bool) -> Cells:
-        cells, rows, results = Cells(line), list[Row](), list[dict[str, Any]]()
+    def find(self, line: Line, motion: bool) -> Found:
+        """The evaluations of a row, as far as its policies are trained."""
+        found = Found(self.seed)
         for trial in line.trials:
             if trial.run is not None and not self._is_trained(trial.run):
-                cells.missing.append(self._how_to_train(trial.run))
+                found.missing.append(self._how_to_train(trial.run))
                 continue
             try:
                 result, command = self._evaluate(trial, motion)
             except DGraspError as error:
-                cells.missing.append(f"{line.group}, {line.name}: {error}")
+                found.missing.append(f"{line.group}, {line.name}: {error}")
                 continue
-            cells.commands.append(command)
-            rows += result["per_label"]
-            results.append(result)
+            found.commands.append(command)
+            found.rows += result["per_label"]
+            found.results.append(result)
             if trial.run is not None:
-                cells.notes += self._about(trial.run)
-        if not rows:
-            return cells
-        first = results[0]
-        whole = summarise(
-            rows, method=first["method"], engine=first["engine"], window_s=first["window_s"], seed=first["seed"],
-            data=first["data"], cost=first["cost"], motion=first.get("motion"),
-        )  # fmt: skip
-        cells.values, cells.n = dict(whole.mean_over_objects), len(rows)
-        cells.intervals = dict(whole.intervals["mean_over_objects"])
-        cells.comparable = all(result["data"].get("comparable_with_paper") for result in results)
-        if len(results) < len(line.trials):
-            cells.notes.append(f"{line.group}, {line.name}: {len(results)} of {len(line.trials)} evaluations are there")
-        return cells
+                found.notes += self._about(trial.run)
+        if found.results and len(found.results) < len(line.trials):
+            found.notes.append(f"{line.group}, {line.name}: {len(found.results)} of {len(line.trials)} evaluations are "
+                               "there")
+        return found
 
     def _how_to_train(self, run: Trained) -> str:
         if run.policy is not None and not self._is_trained(run.policy):
@@ -208,6 +209,41 @@ class Tables:
         used = config.model_dump(mode="json", exclude={"pool", "ppo", "checkpoint", "device", "name"})
         text = json.dumps([trial.method, weights, used, choice.stamp()], sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()[:20]
+
+
+def fill(plan: Plan, seeds: Sequence[Tables]) -> list[Cells]:
+    """The rows of a table, over the seeds; what needs no training is the same for all and taken from the first."""
+    rows = []
+    for line in plan.lines:
+        learned = any(trial.run is not None for trial in line.trials)
+        rows.append(_row(line, [one.find(line, plan.name == "motion") for one in (seeds if learned else seeds[:1])]))
+    return rows
+
+
+def _row(line: Line, seeds: Sequence[Found]) -> Cells:
+    cells = Cells(line)
+    for one in seeds:
+        cells.missing += one.missing
+        cells.notes += one.notes
+        cells.commands += one.commands
+    there = [one for one in seeds if one.rows]
+    if not there:
+        return cells
+    whole = _summary([row for one in there for row in one.rows], there[0].results[0])
+    cells.values, cells.n = dict(whole.mean_over_objects), sum(len(one.rows) for one in there)
+    cells.intervals = dict(whole.intervals["mean_over_objects"])
+    cells.comparable = all(r["data"].get("comparable_with_paper") for one in there for r in one.results)
+    if len(seeds) > 1:
+        cells.seeds = {one.seed: dict(_summary(one.rows, one.results[0]).mean_over_objects) for one in there}
+    return cells
+
+
+def _summary(rows: list[Row], like: Mapping[str, Any]) -> Result:
+    """The summary of labels' rows that were evaluated like that."""
+    return summarise(
+        rows, method=like["method"], engine=like["engine"], window_s=like["window_s"], seed=like["seed"],
+        data=like["data"], cost=like["cost"], motion=like.get("motion"),
+    )  # fmt: skip
 
 
 def needed(plans: Sequence[Plan]) -> list[Trained]:

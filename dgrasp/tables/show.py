@@ -50,6 +50,12 @@ def header_of(plan: Plan) -> list[str]:
 def remarks(rows: Sequence[Cells]) -> list[str]:
     """What stands under a table: marks, trainings, and how to make what is missing."""
     lines = [NOT_THE_PAPERS] if any(cells.values and not cells.comparable for cells in rows) else []
+    for cells in rows:
+        for metric, (name, number) in _TITLES.items():
+            values = {seed: found[metric] for seed, found in cells.seeds.items() if metric in found}
+            if values and metric in cells.line.paper:
+                each = ", ".join(f"{seed}: {number.format(value)}" for seed, value in values.items())
+                lines.append(f"{cells.line.group}, {cells.line.name}, {name} by seed: {each}")
     lines += dict.fromkeys(note for cells in rows for note in cells.notes)
     missing = dict.fromkeys(reason for cells in rows for reason in cells.missing)
     if missing:
@@ -88,7 +94,7 @@ def write(plan: Plan, rows: Sequence[Cells], folder: Path) -> None:
     plain = [
         {"labels": cells.line.group, "method": cells.line.name, "n": cells.n, "values": cells.values,
          "intervals": cells.intervals, "paper": dict(cells.line.paper), "comparable_with_paper": cells.comparable,
-         "missing": cells.missing, "notes": cells.notes, "commands": cells.commands}
+         "seeds": cells.seeds, "missing": cells.missing, "notes": cells.notes, "commands": cells.commands}
         for cells in rows
     ]  # fmt: skip
     content = {"schema": 1, "table": plan.name, "title": plan.title, "metrics": list(plan.metrics), "rows": plain}

@@ -112,6 +112,24 @@ def test_a_budget_trains_what_is_missing_and_an_interruption_goes_on(
     assert checkpoint.saved(tmp_path / "dexycb_pybullet_seed1" / "object_004_sugar_box")
 
 
+def test_seeds_are_trained_apart_and_averaged(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(plan_module, "ABLATION_OBJECTS", ("004_sugar_box",))
+    rows = _table("ablation", folder, tmp_path, "--budget", "10", "--seeds", "3,5")
+    assert [row["n"] for row in rows] == [2] * 5
+    for row in rows:
+        assert list(row["seeds"]) == ["3", "5"]
+        for metric, value in row["values"].items():
+            assert value == pytest.approx(sum(row["seeds"][seed][metric] for seed in ("3", "5")) / 2)
+    weights = [checkpoint.latest(tmp_path / f"dexycb_pybullet_seed{k}" / "object_004_sugar_box") for k in (3, 5)]
+    assert weights[0].read_bytes() != weights[1].read_bytes()
+    assert "Ours, contact ratio by seed: 3: " in capsys.readouterr().out
+    # What is not learned is the same for all seeds.
+    baseline = _table("grasp", folder, tmp_path, "--seeds", "3,5")[0]
+    assert (baseline["n"], baseline["seeds"]) == (2, {})
+
+
 def test_a_table_takes_no_method(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert run_command("test", ["--table", "grasp", "--baseline", "gt_pd", "--data", str(folder)]) == 2
     assert "leave --baseline" in capsys.readouterr().err
