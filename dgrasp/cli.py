@@ -16,6 +16,7 @@ COMMANDS = {
     "test": "dgrasp.test",
     "demo": "dgrasp.demo",
     "runs": "dgrasp.runs",
+    "publish": "dgrasp.publish",
     "export": "dgrasp.export.command",
     "hand build": "dgrasp.hand.build_command",
     "hand report": "dgrasp.hand.report_command",
@@ -39,6 +40,7 @@ commands:
   test     evaluate a policy or a baseline
   demo     train briefly on the free set and show what happens
   runs     list training runs, compare two
+  publish  a trained policy as one small file
   export   stored sequences as arrays, GLB animations, GIF or mp4
   hand     build: a physics hand from a MANO file or the free skin; report: compare hands
   object   add: objects for the physics from mesh files

@@ -140,6 +140,10 @@ class EnvConfig(_Section):
     reward: RewardConfig = RewardConfig()
 
 
+SENSES = ("features", "goal_space", "scaled_features", "wrist", "action")
+"""The keys of `env` that a policy's input and output depend on."""
+
+
 class MotionConfig(_Section):
     """Motion synthesis (paper, section 3.3; supplement, A.2): the wrist carries the object to a 6D target.
 
@@ -329,18 +333,22 @@ def make_config(values: dict[str, Any], where: str = "config") -> Config:
         raise ConfigError(f"{where}:\n  " + "\n  ".join(lines)) from None
 
 
+def read_values(path: Path) -> dict[str, Any]:
+    """The plain values of a YAML config."""
+    try:
+        text = Path(path).read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigError(f"{path}: cannot read the config ({error})") from None
+    values = parse_yaml(text, str(path))
+    values = {} if values is None else values
+    if not isinstance(values, dict):
+        raise ConfigError(f"{path}: expected a mapping of config keys, got {type(values).__name__}")
+    return values
+
+
 def load_config(path: Path | None, overrides: list[str] | None = None) -> Config:
     """The config of a YAML file (or the defaults) with overrides such as `["ppo.epochs=6", "seed=3"]`."""
-    values: Any = {}
-    if path is not None:
-        try:
-            text = Path(path).read_text(encoding="utf-8")
-        except (OSError, UnicodeDecodeError) as error:
-            raise ConfigError(f"{path}: cannot read the config ({error})") from None
-        values = parse_yaml(text, str(path))
-        values = {} if values is None else values
-        if not isinstance(values, dict):
-            raise ConfigError(f"{path}: expected a mapping of config keys, got {type(values).__name__}")
+    values = {} if path is None else read_values(path)
     return make_config(apply_overrides(values, overrides or []), where=str(path) if path else "config")
 
 

@@ -16,7 +16,8 @@ from dgrasp.baselines import BASELINES, TRAINED_BASELINES, method_of
 from dgrasp.baselines.ik import IkBaseline
 from dgrasp.baselines.static_grasp import StaticGrasp
 from dgrasp.build import build_spec
-from dgrasp.config import Config, load_config
+from dgrasp.config import SENSES, Config, make_config, read_values
+from dgrasp.config_values import apply_overrides
 from dgrasp.data import DataChoice, resolve
 from dgrasp.errors import ConfigError, DataError
 from dgrasp.eval import failures, output
@@ -32,7 +33,7 @@ from dgrasp.export.sequence import check_folder, write_folder
 from dgrasp.pool import PoolSpec, make_pool
 from dgrasp.report.page import write_report
 from dgrasp.rl import checkpoint
-from dgrasp.rl.policies import read_policy
+from dgrasp.rl.policies import SavedPolicy, read_policy
 from dgrasp.rl.progress import format_duration
 from dgrasp.tables.plan import NAMES
 from dgrasp.train import find_config
@@ -66,7 +67,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                         "flat_rl and learned_motion are runs of their own")
     what = parser.add_mutually_exclusive_group()
     what.add_argument("--run", type=Path, metavar="DIR", help="the last checkpoint of a training run")
-    what.add_argument("--policy", type=Path, metavar="FILE.pt", help="a checkpoint: ours, or one of the authors'")
+    what.add_argument("--policy", type=Path, metavar="FILE", help="a checkpoint, ours or one of the authors'; or "
+                      "weights of `dgrasp publish`")
     parser.add_argument("--table", choices=(*NAMES, "all"), help="a table of the paper: evaluate what is there, say "
                         "how to train the rest")
     parser.add_argument("--budget", type=float, metavar="MINUTES", help="with --table: train what is missing, so long")
@@ -76,7 +78,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                         help="with --table: where its runs and results are (default: runs/tables)")
     parser.add_argument("--motion", metavar="easy|ood|circle|pour|FILE",
                         help="move the object to targets: the authors', own ones, a path, or a file of poses")
-    parser.add_argument("--cfg", type=Path, metavar="FILE", help="experiment (default: the run's, or cfg/dexycb.yaml)")
+    parser.add_argument("--cfg", type=Path, metavar="FILE", help="experiment (default: the run's, the policy's, or "
+                        "cfg/dexycb.yaml)")
     parser.add_argument("--data", metavar="free|DIR", help="the free set, or a folder like the authors' release")
     parser.add_argument("--split", choices=("train", "test"), help="which labels (default: train)")
     parser.add_argument("--labels", metavar="SOURCE|FILE", help="dexycb, grasptta, contactopt, or a label file")
@@ -197,13 +200,8 @@ def write_gif(path: Path, records: list[EpisodeRecord], spec: PoolSpec, count: i
 
 
 def _config(arguments: argparse.Namespace) -> Config:
-    cfg = find_config(arguments.cfg)
-    if cfg is None and arguments.run is not None:
-        cfg = arguments.run / "config.yaml"
-        if not cfg.is_file():
-            raise ConfigError(f"{arguments.run}: not a run directory (no config.yaml); expected one that train.py made")
-    if cfg is None:
-        cfg = find_config(Path("cfg/dexycb.yaml"))
+    saved = None if arguments.policy is None else read_policy(arguments.policy)
+    where, values = _base(arguments, saved)
     # `--objects A B seed=3`: what holds an equals sign is not an object.
     objects = None if arguments.objects is None else [name for name in arguments.objects if "=" not in name]
     trailing = [word for word in arguments.objects or [] if "=" in word]
@@ -219,7 +217,36 @@ def _config(arguments: argparse.Namespace) -> Config:
     overrides = [f"{key}={json.dumps(value)}" for key, value in given.items() if value is not None]
     # A run may train with faster physics; a test has the best there is. What is typed last wins, so key=value stands
     # above the options that are short for it.
-    return load_config(cfg, ["physics.preset=faithful", *overrides, *trailing, *arguments.overrides])
+    words = ["physics.preset=faithful", *overrides, *trailing, *arguments.overrides]
+    config = make_config(apply_overrides(values, words), where)
+    if saved is not None:
+        _check_senses(saved, config, arguments.policy)
+    return config
+
+
+def _base(arguments: argparse.Namespace, saved: SavedPolicy | None) -> tuple[str, dict[str, Any]]:
+    """What the overrides are laid over, and where it is from: --cfg, the run's or the policy's own config, or the
+    paper's."""
+    cfg = find_config(arguments.cfg)
+    if cfg is None and saved is not None and saved.config:
+        return str(arguments.policy), saved.config
+    if cfg is None and arguments.run is not None:
+        cfg = arguments.run / "config.yaml"
+        if not cfg.is_file():
+            raise ConfigError(f"{arguments.run}: not a run directory (no config.yaml); expected one that train.py made")
+    cfg = cfg or find_config(Path("cfg/dexycb.yaml"))
+    assert cfg is not None
+    return str(cfg), read_values(cfg)
+
+
+def _check_senses(saved: SavedPolicy, config: Config, path: Path) -> None:
+    """A policy must see and move what it did in training; other features may have the same number of entries."""
+    trained = make_config({"env": saved.env}, str(path)).env
+    differ = [key for key in SENSES if getattr(trained, key) != getattr(config.env, key)]
+    if differ:
+        own = ", ".join(f"env.{key}={getattr(trained, key)}" for key in differ)
+        raise ConfigError(f"{path} was trained with {own}, and the config says otherwise; leave --cfg and these keys "
+                          "away: a policy brings its own")
 
 
 def _method(arguments: argparse.Namespace) -> Method:

@@ -9,6 +9,7 @@ from typing import Any
 from dgrasp.rl.checkpoint import load, policy_of, read_torch_file
 from dgrasp.rl.networks import Policy
 from dgrasp.rl.published import is_published, load_published_actor
+from dgrasp.rl.weights import SUFFIX, read_weights
 
 
 @dataclass(frozen=True)
@@ -31,7 +32,10 @@ class SavedPolicy:
 
 
 def read_policy(path: Path) -> SavedPolicy:
-    """A checkpoint of ours, or one that the authors published; `DataError` for anything else."""
+    """A checkpoint or published weights of ours, or a checkpoint of the authors; `DataError` for anything else."""
+    if path.suffix == SUFFIX:
+        policy, about = read_weights(path)
+        return SavedPolicy(policy, about["config"])
     if is_published(read_torch_file(path, "a checkpoint")):
         return SavedPolicy(load_published_actor(path), {})
     checkpoint = load(path)

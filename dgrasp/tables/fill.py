@@ -180,7 +180,7 @@ class Tables:
             words += ["--policy", str(self.policy)] if use_policy else ["--run", str(self.run_dir(trial.run))]
         if trial.method != "policy":
             words += ["--baseline", trial.method]
-        if "--run" not in words:
+        if trial.run is None:
             words += ["--cfg", str(self.cfg)]
         words += [*self.overrides, *trial.overrides]
         arguments = _parse(test, words)
