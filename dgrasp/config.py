@@ -109,12 +109,14 @@ class HoldConfig(_Section):
     """The test's hold as a part of training episodes; first_step: null leaves it out, as in the paper.
 
     The table goes at a step drawn from first_step to last_step, the wrist is held where it is, and the episode
-    ends when the object has dropped by `drop` (m). `env.reward.hold` is paid for every step until then.
+    ends when the object has dropped by `drop` (m). `env.reward.hold` is paid for every step until then; graded: less of
+    it the further the object has sunk, nothing at `drop`.
     """
 
     first_step: Count | None = None
     last_step: Count = 65
     drop: Positive = 0.05
+    graded: bool = False
 
 
 class EnvConfig(_Section):

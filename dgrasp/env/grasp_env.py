@@ -180,7 +180,7 @@ class GraspEnv:
         np.divide(self.clock, self.config.env.episode_steps, out=self.s.episode_time)
         dropped = (self.s.table_gone > 0) & (self.s.object_pos_W[:, 2] < self._drop_height)
         if self._training_hold:
-            np.multiply(self.s.table_gone, ~dropped, out=self.s.holding)
+            self._hold_share(dropped)
         r = relations(self.s, self.goal)
         self._pay(r)
         self.layer(self.s, self.goal, r, self.o.observation)
@@ -218,6 +218,12 @@ class GraspEnv:
     @property
     def _training_hold(self) -> bool:
         return self.mode == "train" and self.config.env.hold.first_step is not None
+
+    def _hold_share(self, dropped: Array) -> None:
+        """Write how well the objects without a table are held."""
+        hold, s = self.config.env.hold, self.s
+        share = np.clip((s.object_pos_W[:, 2] - self._drop_height) / hold.drop, 0.0, 1.0) if hold.graded else ~dropped
+        np.multiply(s.table_gone, share, out=s.holding)
 
     def _begin_holds(self) -> None:
         """Take the table away where it is time to, and hold the wrist there."""
