@@ -92,6 +92,28 @@ def grasp_pose(record: EpisodeRecord) -> tuple[Array, Array, Array] | None:
     return record.T_WH[step], record.gc[step, 6:], record.T_WO[step]
 
 
+def label_distance_mm(record: EpisodeRecord) -> float | None:
+    """How far the finished grasp is from the label's: mean distance of the 21 key points in the object's frame, mm.
+
+    None for a baseline that starts in the label's pose, and where the episode ended before its grasp was finished.
+    """
+    step = record.window_start - 1
+    if not 0 <= step < len(record.gc):
+        return None
+    label = record.label
+    here, there = _in_frame(record.T_WO[step], record.joints_W[step]), _in_frame(label.T_WO, label.joints_W)
+    distance = 1000.0 * float(np.linalg.norm(here - there, axis=1).mean())
+    return distance if np.isfinite(distance) else None
+
+
+def label_angles_deg(record: EpisodeRecord) -> float | None:
+    """Mean absolute difference of the finished grasp's 45 finger angles to the label's, degrees; None as above."""
+    step = record.window_start - 1
+    if not 0 <= step < len(record.gc):
+        return None
+    return float(np.degrees(np.abs(record.gc[step, 6:] - record.label.hand_pose).mean()))
+
+
 def position_errors_m(record: EpisodeRecord) -> Array:
     """(T',) m: distance between the object and its target after each step of the window (supplement, e_mpe).
 
@@ -121,6 +143,12 @@ def mpe_m(record: EpisodeRecord) -> float | None:
 def geodesic_rad(record: EpisodeRecord) -> float | None:
     """The angular error at the end of the episode, rad; None where it ended before its motion began."""
     return _last(geodesic_errors_rad(record))
+
+
+def _in_frame(T_WO: Array, points_W: Array) -> Array:
+    """World points (K, 3) in the frame T_WO (4, 4)."""
+    local: Array = (points_W - T_WO[:3, 3]) @ T_WO[:3, :3]
+    return local
 
 
 def _targets(record: EpisodeRecord) -> Array:

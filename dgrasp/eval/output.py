@@ -28,6 +28,8 @@ _TITLES = {
     "contact_ratio": ("contact ratio", "{:.2f}"),
     "interpenetration_cm3": ("interpen. cm3", "{:.2f}"),
     "interpenetration_shell_cm3": ("interpen. by shell cm3", "{:.2f}"),
+    "label_distance_mm": ("distance to the label's grasp mm", "{:.1f}"),
+    "label_angles_deg": ("finger angles off the label's deg", "{:.1f}"),
     "mpe_m": ("MPE m", "{:.3f}"),
     "geodesic_rad": ("geodesic rad", "{:.2f}"),
     "path_mpe_m": ("MPE on the way m", "{:.3f}"),
@@ -36,7 +38,8 @@ _TITLES = {
 }
 
 _WITH_INTERVAL = ("success", "sim_dist_mm_per_step", "interpenetration_cm3", "mpe_m", "geodesic_rad")
-_FILES_ALONE = ("sim_dist_mm_per_s", "sim_dist_wrist_mm_per_step", "interpenetration_shell_cm3")
+_FILES_ALONE = ("sim_dist_mm_per_s", "sim_dist_wrist_mm_per_step", "interpenetration_shell_cm3",
+                "label_distance_mm", "label_angles_deg")
 
 
 def print_table(result: Result, console: Console | None = None) -> None:
@@ -82,6 +85,10 @@ def remarks(result: Result) -> list[str]:
                       if k in means)
     if spans:
         lines.append(f"95% intervals of the means over objects (bootstrap over their labels): {spans}")
+    off = result.mean_over_objects
+    if "label_distance_mm" in off:
+        lines.append(f"finished grasps are {off['label_distance_mm']:.1f} mm from the labels' (key points, object's "
+                     f"frame), finger angles {off['label_angles_deg']:.1f} degrees")
     lines += _about_interpenetration(result)
     if result.motion is not None and result.motion.get("left_out"):
         lines.append(f"{len(result.motion['left_out'])} of {result.motion['n_grasps']} grasps did not pass the "

@@ -83,6 +83,8 @@ def label_row(record: EpisodeRecord, window_s: float) -> Row:
         "sim_dist_mm_per_s": metrics.sim_dist_mm_per_s(record, window_s),
         "sim_dist_wrist_mm_per_step": metrics.sim_dist_wrist_mm_per_step(record, window_s),
         "contact_ratio": metrics.contact_ratio(record),
+        "label_distance_mm": metrics.label_distance_mm(record),
+        "label_angles_deg": metrics.label_angles_deg(record),
     }
     if record.target_T_WO is not None:
         measured["mpe_m"], measured["geodesic_rad"] = metrics.mpe_m(record), metrics.geodesic_rad(record)

@@ -6,6 +6,7 @@ import argparse
 import hashlib
 import multiprocessing
 import os
+import shutil
 import time
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
@@ -14,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from dgrasp import __version__
 from dgrasp.config import Config, make_config
 from dgrasp.errors import ConfigError, DataError
 from dgrasp.hand.mano_model import Side
@@ -66,6 +68,8 @@ class _Task:
     count: int
     seed: int
     config: Config
+    file: str
+    """The name under which its labels are kept until all objects are done."""
 
 
 def main(arguments: argparse.Namespace) -> int:
@@ -75,8 +79,14 @@ def main(arguments: argparse.Namespace) -> int:
     begin = time.monotonic()
     made, figures = [], {}
     workers = min(arguments.workers or cores(), len(tasks))
+    parts = arguments.out.with_suffix(".parts")
+    todo = [task for task in tasks if not (parts / task.file).is_file()]
+    if len(todo) < len(tasks):
+        print(f"{parts}: {len(tasks) - len(todo)} objects are there from a run that was stopped", flush=True)
     with ProcessPoolExecutor(workers, multiprocessing.get_context("spawn"), _one_thread) as pool:
-        for task, (labels, row) in zip(tasks, pool.map(_make, tasks), strict=True):
+        results = iter(pool.map(_make, todo))
+        for task in tasks:
+            labels, row = _kept(parts / task.file, next(results) if task in todo else None)
             made.append(labels)
             figures[task.model.name] = row
             print(f"{task.model.name}: {len(labels)} labels, {row['held']} hold under gt_pd ({row['found_held']:.2f} "
@@ -88,6 +98,7 @@ def main(arguments: argparse.Namespace) -> int:
     print(f"{sum(map(len, made))} labels in {time.monotonic() - begin:.0f} s; gt_pd holds {held:.2f} of them, "
           f"{best:.2f} of each object's best quarter by geometry")
     _write(files, made, arguments, hand, figures)
+    shutil.rmtree(parts)
     return 0
 
 
@@ -109,7 +120,28 @@ def _tasks(arguments: argparse.Namespace) -> tuple[list[_Task], NamedHand]:
     side: Side = hand.meta.get("side", "right")
     wanted = list(YCB_NAMES.values()) if arguments.objects == ["all"] else list(dict.fromkeys(arguments.objects))
     models = [_object(entry, data, arguments.store, config) for entry in wanted]
-    return [_Task(name, side, model, arguments.number, arguments.seed, config) for model in models], hand
+    same = [hand.model.id, __version__, arguments.number, arguments.seed, arguments.engine]
+    return [
+        _Task(name, side, model, arguments.number, arguments.seed, config, _part_name(model, same)) for model in models
+    ], hand
+
+
+def _part_name(model: ObjectModel, same: list[Any]) -> str:
+    """Names an object's labels by what they depend on."""
+    digest = hashlib.sha256(f"{model!r} {same}".encode()).hexdigest()
+    return f"{model.name}-{digest[:12]}.npz"
+
+
+def _kept(path: Path, made: tuple[list[GraspLabel], dict[str, Any]] | None) -> tuple[list[GraspLabel], dict[str, Any]]:
+    """Labels and figures of one object: written to the file, or read from it where there are none."""
+    from dgrasp.labels.native import read_native_with_meta, write_native
+
+    if made is None:
+        labels, meta = read_native_with_meta(path)
+        return labels, meta["provenance"]
+    path.parent.mkdir(exist_ok=True)
+    write_native(path, made[0], made[1], "of a file that is not finished")
+    return made
 
 
 def _require_engine(name: str) -> None:

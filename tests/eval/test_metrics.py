@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,8 @@ from dgrasp.eval.metrics import (
     geodesic_errors_rad,
     geodesic_rad,
     grasp_pose,
+    label_angles_deg,
+    label_distance_mm,
     mpe_m,
     position_errors_m,
     sim_dist_mm_per_s,
@@ -215,6 +218,26 @@ def test_the_pose_of_a_grasp() -> None:
     T_WH, pose, T_WO = grasp_pose(from_label)  # type: ignore[misc]
     assert T_WO is from_label.label.T_WO and pose is from_label.label.hand_pose
     assert grasp_pose(record(at([0.6]), window_start=2, terminated="unstable")) is None
+
+
+def test_distance_of_a_grasp_to_the_labels() -> None:
+    """Hand and object moved together are where the label says; the object alone by 30 mm is 30 mm off."""
+    made = record(at([0.6, 0.6, 0.6]), window_start=2)
+    points = np.random.default_rng(4).normal(size=(21, 3))
+    wanted = replace(made.label, joints_W=points)
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = Rotation.from_rotvec([0.0, 0.0, 0.7]).as_matrix(), (1.0, 2.0, 3.0)
+    gc = made.gc.copy()
+    gc[1, 6 + 15] = np.radians(9.0)
+    moved = replace(made, label=wanted, gc=gc, T_WO=np.tile(T, (3, 1, 1)),
+                    joints_W=np.tile(points @ T[:3, :3].T + T[:3, 3], (3, 1, 1)))
+    assert label_distance_mm(moved) == pytest.approx(0.0, abs=1e-9)
+    assert label_angles_deg(moved) == pytest.approx(9.0 / 45)
+    pushed = moved.T_WO.copy()
+    pushed[1, :3, 3] += 0.03 * np.array([0.6, 0.0, 0.8])
+    assert label_distance_mm(replace(moved, T_WO=pushed)) == pytest.approx(30.0)
+    for other in (replace(moved, window_start=0), replace(moved, window_start=7)):
+        assert label_distance_mm(other) is None and label_angles_deg(other) is None
 
 
 def test_contact_ratio_over_the_whole_sequence() -> None:

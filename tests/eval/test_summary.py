@@ -83,11 +83,13 @@ def test_records_become_rows() -> None:
     held = record(at(np.full(12, 0.6)), window_start=2, contacts=np.ones((12, 16)), of=label("025_mug", 3))
     assert label_row(held, 10 * DT) == {
         "object": "025_mug", "index": 3, "success": True, "sim_dist_mm_per_step": 0.0, "sim_dist_mm_per_s": 0.0,
-        "sim_dist_wrist_mm_per_step": 0.0, "contact_ratio": 1.0,
+        "sim_dist_wrist_mm_per_step": 0.0, "contact_ratio": 1.0, "label_distance_mm": pytest.approx(600.0),
+        "label_angles_deg": 0.0,
     }
     broken = record(at([0.6, np.nan]), window_start=2, terminated="NaN", of=label("025_mug", 4, goal=()))
     assert label_row(broken, 10 * DT) == {
         "object": "025_mug", "index": 4, "success": False, "failure": "broken", "lost_s": 0.0, "terminated": "NaN",
+        "label_angles_deg": 0.0,
     }
     out = summarise([held, broken], method="gt_pd", engine="pybullet", window_s=10 * DT, seed=1, data=FREE, cost=COST)
     assert out.mean_over_labels["success"] == 0.5

@@ -357,7 +357,49 @@ def test_the_command_writes_both_splits(
     test, _ = read_native_with_meta(tmp_path / "set_test.npz")
     assert (len(train), len(test), meta["licence"], meta["hand"]) == (2, 1, "MIT", "free")
     assert meta["provenance"]["per_object"][BRICK]["held"] == 1 and "cpu_s" not in str(meta)
-    assert not out.exists() and "best quarter" in capsys.readouterr().out
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["set_test.npz", "set_train.npz"]
+    assert "best quarter" in capsys.readouterr().out
+
+
+def test_a_stopped_run_goes_on(
+    tmp_path, made: synthesis.Synthesised, monkeypatch: pytest.MonkeyPatch, capsys
+) -> None:
+    asked: list[str] = []
+
+    class Here:
+        def __init__(self, *arguments: object) -> None: ...
+
+        def __enter__(self) -> Here:
+            return self
+
+        def __exit__(self, *arguments: object) -> None: ...
+
+        def map(self, function, tasks):
+            for task in tasks:
+                asked.append(task.model.name)
+                if len(asked) == 2:
+                    raise KeyboardInterrupt
+                name = task.model.name
+                row = dict.fromkeys(("held", "found_held", "best_quarter_held", "penetration_cm3", "touching",
+                                     "contacts", "diversity_deg", "diversity_mm", "cpu_s"), 0.125)  # fmt: skip
+                yield [replace(label, object_id=name) for label in made.labels], row
+
+    monkeypatch.setattr(make_command, "ProcessPoolExecutor", Here)
+    out = tmp_path / "two.npz"
+    words = ["--objects", "061", "009", "--number", "3", "--out", str(out)]
+    assert run_command("labels make", words) == 130
+    assert not out.exists() and len(list((tmp_path / "two.parts").iterdir())) == 1
+    # Other labels are not taken for these.
+    assert run_command("labels make", [*words, "--seed", "2"]) == 0 and asked[2:] == asked[:2]
+    out.unlink()
+    assert not (tmp_path / "two.parts").exists()
+    asked.clear()
+    assert run_command("labels make", words) == 130 and run_command("labels make", words) == 0
+    assert asked == ["061_foam_brick", "009_gelatin_box", "009_gelatin_box"]
+    assert "1 objects are there" in capsys.readouterr().out
+    labels, meta = read_native_with_meta(out)
+    assert [label.object_id for label in labels] == ["009_gelatin_box"] * 3 + ["061_foam_brick"] * 3
+    assert meta["provenance"]["per_object"]["061_foam_brick"]["held"] == 0.125
 
 
 @pytest.mark.parametrize(
