@@ -67,19 +67,26 @@ def read_weights(path: Path) -> tuple[Policy, dict[str, Any]]:
 
 
 def _policy(tensors: dict[str, torch.Tensor], about: Any, path: Path) -> Policy:
-    architecture = about.get("architecture") if isinstance(about, dict) else None
-    hidden = architecture.get("hidden") if isinstance(architecture, dict) else None
-    sizes = [architecture.get(key) for key in _SIZES] + hidden if isinstance(hidden, list) else [None]
-    if not all(type(size) is int and 0 < size <= 65536 for size in sizes) or not isinstance(about.get("config"), dict):
-        raise DataError(f"{path}: it does not say what its weights are for; take another file")
-    layers = [architecture["actor_size"], *hidden, architecture["action_size"]]
-    expected = {}
+    observation, actor, action, *hidden = _sizes(about, path)
+    layers, expected = [actor, *hidden, action], dict[str, tuple[int, ...]]()
     for i, (fan_in, fan_out) in enumerate(itertools.pairwise(layers)):
         expected |= {f"actor.{2 * i}.weight": (fan_out, fan_in), f"actor.{2 * i}.bias": (fan_out,)}
     if {name: tuple(value.shape) for name, value in tensors.items()} != expected:
         raise DataError(f"{path}: its weights are not those of layers {layers}; take another file")
     if not all(value.dtype == torch.float32 and bool(value.isfinite().all()) for value in tensors.values()):
         raise DataError(f"{path}: a weight is not a finite float32 number; take another file")
-    actor = make_mlp(layers)
-    actor.load_state_dict({name.removeprefix("actor."): value for name, value in tensors.items()})
-    return Policy(actor, architecture["observation_size"], architecture["action_size"], architecture["actor_size"])
+    network = make_mlp(layers)
+    network.load_state_dict({name.removeprefix("actor."): value for name, value in tensors.items()})
+    return Policy(network, observation, action, actor)
+
+
+def _sizes(about: Any, path: Path) -> list[int]:
+    """Numbers that the policy sees, that the actor sees of them, that it says, and the hidden layers' widths."""
+    try:
+        architecture, config = about["architecture"], about["config"]
+        sizes = [*(architecture[key] for key in _SIZES), *architecture["hidden"]]
+    except (KeyError, TypeError):
+        sizes, config = [], None
+    if not sizes or not all(type(size) is int and 0 < size <= 65536 for size in sizes) or not isinstance(config, dict):
+        raise DataError(f"{path}: it does not say what its weights are for; take another file")
+    return sizes

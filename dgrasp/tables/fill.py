@@ -19,6 +19,7 @@ from dgrasp.data import DataChoice, resolve
 from dgrasp.errors import DataError, DGraspError
 from dgrasp.eval.motion import usual_set
 from dgrasp.eval.summary import Result, Row, summarise
+from dgrasp.request import config_of, method_for
 from dgrasp.rl import checkpoint
 from dgrasp.runs import read_run
 from dgrasp.tables.plan import ALL_OBJECTS, Line, Plan, Trained, Trial
@@ -184,11 +185,11 @@ class Tables:
             words += ["--cfg", str(self.cfg)]
         words += [*self.overrides, *trial.overrides]
         arguments = _parse(test, words)
-        config = test._config(arguments)
+        config = config_of(arguments)
         choice = resolve(config)
         if motion:
             words += ["--motion", usual_set(choice)]
-            config = test._config(_parse(test, words))
+            config = config_of(_parse(test, words))
         command = shlex.join(["python", "test.py", *words])
         file = self.results / f"{self._key(trial, config, choice)}.json"
         if file.is_file():
@@ -198,7 +199,7 @@ class Tables:
                 self.say(f"{file} is damaged and is made again")
         self.say(f"evaluating: {command}")
         evaluation = test.evaluate_motion if motion else test.evaluate_choice
-        result, _, _ = evaluation(test._method(arguments), config, choice)
+        result, _, _ = evaluation(method_for(arguments), config, choice)
         self.results.mkdir(parents=True, exist_ok=True)
         write_atomic(file, json.dumps(result.as_dict(), allow_nan=False))
         return result.as_dict(), command

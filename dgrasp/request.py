@@ -1,0 +1,117 @@
+"""What a command line of `test.py` asks for: its config, and the baseline or policy."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+from typing import Any
+
+from dgrasp.baselines import BASELINES, TRAINED_BASELINES, method_of
+from dgrasp.baselines.static_grasp import StaticGrasp
+from dgrasp.config import SENSES, Config, make_config, read_values
+from dgrasp.config_values import apply_overrides
+from dgrasp.errors import ConfigError
+from dgrasp.eval.method import Method, PolicyMethod
+from dgrasp.rl import checkpoint
+from dgrasp.rl.policies import SavedPolicy, read_policy
+from dgrasp.train import find_config
+
+
+def config_of(arguments: argparse.Namespace) -> Config:
+    """The config: --cfg, or the run's or policy's own, or the paper's, with the options and key=value laid over it."""
+    saved = None if arguments.policy is None else read_policy(arguments.policy)
+    where, values = _base(arguments, saved)
+    # `--objects A B seed=3`: what holds an equals sign is not an object.
+    objects = None if arguments.objects is None else [name for name in arguments.objects if "=" not in name]
+    trailing = [word for word in arguments.objects or [] if "=" in word]
+    given = {
+        "data": arguments.data,
+        "labels.split": arguments.split,
+        "labels.source": arguments.labels,
+        "labels.objects": objects,
+        "engine": arguments.engine,
+        "eval.window_s": arguments.window,
+        "motion.targets": arguments.motion,
+    }
+    overrides = [f"{key}={json.dumps(value)}" for key, value in given.items() if value is not None]
+    # A run may train with faster physics; a test has the best there is. What is typed last wins, so key=value stands
+    # above the options that are short for it.
+    words = ["physics.preset=faithful", *overrides, *trailing, *arguments.overrides]
+    config = make_config(apply_overrides(values, words), where)
+    if saved is not None:
+        _check_senses(saved, config, arguments.policy)
+    return config
+
+
+def _base(arguments: argparse.Namespace, saved: SavedPolicy | None) -> tuple[str, dict[str, Any]]:
+    """What the overrides are laid over, and where it is from: --cfg, the run's or the policy's own config, or the
+    paper's."""
+    cfg = find_config(arguments.cfg)
+    if cfg is None and saved is not None and saved.config:
+        return str(arguments.policy), saved.config
+    if cfg is None and arguments.run is not None:
+        cfg = arguments.run / "config.yaml"
+        if not cfg.is_file():
+            raise ConfigError(f"{arguments.run}: not a run directory (no config.yaml); expected one that train.py made")
+    cfg = cfg or find_config(Path("cfg/dexycb.yaml"))
+    assert cfg is not None
+    return str(cfg), read_values(cfg)
+
+
+def _check_senses(saved: SavedPolicy, config: Config, path: Path) -> None:
+    """A policy must see and move what it did in training; other features may have the same number of entries."""
+    trained = make_config({"env": saved.env}, str(path)).env
+    differ = [key for key in SENSES if getattr(trained, key) != getattr(config.env, key)]
+    if differ:
+        own = ", ".join(f"env.{key}={getattr(trained, key)}" for key in differ)
+        raise ConfigError(f"{path} was trained with {own}, and the config says otherwise; leave --cfg and these keys "
+                          "away: a policy brings its own")
+
+
+def method_for(arguments: argparse.Namespace) -> Method:
+    """The baseline or policy; a `ConfigError` where the options name none, or two."""
+    learned = arguments.run is not None or arguments.policy is not None
+    if arguments.baseline in TRAINED_BASELINES:
+        return _trained_baseline(arguments, learned)
+    if arguments.baseline == StaticGrasp.name:
+        return StaticGrasp(_policy(arguments) if learned else None)
+    if learned == (arguments.baseline is not None):
+        raise ConfigError("what to test: expected one of --baseline, --run and --policy (--baseline static_grasp may "
+                          "take its grasps from one of the others)")
+    return _policy(arguments) if learned else BASELINES[arguments.baseline]()
+
+
+def _trained_baseline(arguments: argparse.Namespace, learned: bool) -> Method:
+    kind = TRAINED_BASELINES[arguments.baseline]
+    train = f"python train.py --cfg cfg/{kind.name}.yaml" + " motion.policy=FILE.pt" * (kind.task == "motion")
+    if not learned:
+        raise ConfigError(f"--baseline {kind.name} is a policy of its own: expected --run DIR too. "
+                          f"To train one: {train}")
+    method = _policy(arguments)
+    if not isinstance(method, kind):
+        raise ConfigError(f"{arguments.run or arguments.policy}: not a policy of {kind.name} but one of task "
+                          f"{_task(method)}; expected one that was made by: {train}")
+    return method
+
+
+def _policy(arguments: argparse.Namespace) -> Method:
+    path = arguments.policy if arguments.policy is not None else checkpoint.latest(arguments.run)
+    return method_of(read_policy(path))
+
+
+def _task(method: Method) -> str:
+    """The `env.task` that a method is for."""
+    made_by = method.grasp if isinstance(method, StaticGrasp) else method
+    return made_by.task if isinstance(made_by, PolicyMethod) else "grasp"
+
+
+def check_task(method: Method, config: Config) -> None:
+    """A policy must be tested on the task that it was trained for; else a `ConfigError`."""
+    task = _task(method)
+    if task != config.env.task:
+        raise ConfigError(f"{method.name} is of task {task}, and the config of env.task={config.env.task}; expected "
+                          "the policy's own config: its --run, or --cfg RUN/config.yaml")
+    if task != "grasp" and isinstance(method, StaticGrasp):
+        raise ConfigError(f"--baseline static_grasp: a policy of task {task} makes no grasp to hold; expected a "
+                          "grasping policy")
