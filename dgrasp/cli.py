@@ -18,6 +18,7 @@ COMMANDS = {
     "runs": "dgrasp.runs",
     "publish": "dgrasp.publish",
     "export": "dgrasp.export.command",
+    "view": "dgrasp.report.view_command",
     "hand build": "dgrasp.hand.build_command",
     "hand report": "dgrasp.hand.report_command",
     "object add": "dgrasp.objects.add_command",
@@ -41,6 +42,7 @@ commands:
   demo     train briefly on the free set and show what happens
   runs     list training runs, compare two
   publish  a trained policy as one small file
+  view     stored sequences as a page of replays
   export   stored sequences as arrays, GLB animations, GIF or mp4
   hand     build: a physics hand from a MANO file or the free skin; report: compare hands
   object   add: objects for the physics from mesh files

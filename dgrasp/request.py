@@ -13,14 +13,20 @@ from dgrasp.config import SENSES, Config, make_config, read_values
 from dgrasp.config_values import apply_overrides
 from dgrasp.errors import ConfigError
 from dgrasp.eval.method import Method, PolicyMethod
+from dgrasp.paths import data_root
 from dgrasp.rl import checkpoint
 from dgrasp.rl.policies import SavedPolicy, read_policy
 from dgrasp.train import find_config
 
+PRETRAINED = "pretrained"
+PRETRAINED_FILE = Path("free/policy/all_objects.safetensors")
+"""What `--run pretrained` stands for: the policy that ships, below the shipped data."""
+
 
 def config_of(arguments: argparse.Namespace) -> Config:
     """The config: --cfg, or the run's or policy's own, or the paper's, with the options and key=value laid over it."""
-    saved = None if arguments.policy is None else read_policy(arguments.policy)
+    path = policy_file(arguments)
+    saved = None if path is None else read_policy(path)
     where, values = _base(arguments, saved)
     # `--objects A B seed=3`: what holds an equals sign is not an object.
     objects = None if arguments.objects is None else [name for name in arguments.objects if "=" not in name]
@@ -39,9 +45,24 @@ def config_of(arguments: argparse.Namespace) -> Config:
     # above the options that are short for it.
     words = ["physics.preset=faithful", *overrides, *trailing, *arguments.overrides]
     config = make_config(apply_overrides(values, words), where)
-    if saved is not None:
-        _check_senses(saved, config, arguments.policy)
+    if path is not None and saved is not None:
+        _check_senses(saved, config, path)
     return config
+
+
+def policy_file(arguments: argparse.Namespace) -> Path | None:
+    """The file of --policy, or of `--run pretrained`; None where neither was asked for."""
+    if not _is_pretrained(arguments):
+        path: Path | None = arguments.policy
+        return path
+    file = data_root() / PRETRAINED_FILE
+    if not file.is_file():
+        raise ConfigError(f"--run {PRETRAINED}: {file} is not there; expected a run directory, or a file for --policy")
+    return file
+
+
+def _is_pretrained(arguments: argparse.Namespace) -> bool:
+    return str(arguments.run) == PRETRAINED and not arguments.run.exists()
 
 
 def _base(arguments: argparse.Namespace, saved: SavedPolicy | None) -> tuple[str, dict[str, Any]]:
@@ -49,8 +70,8 @@ def _base(arguments: argparse.Namespace, saved: SavedPolicy | None) -> tuple[str
     paper's."""
     cfg = find_config(arguments.cfg)
     if cfg is None and saved is not None and saved.config:
-        return str(arguments.policy), saved.config
-    if cfg is None and arguments.run is not None:
+        return str(policy_file(arguments)), saved.config
+    if cfg is None and arguments.run is not None and not _is_pretrained(arguments):
         cfg = arguments.run / "config.yaml"
         if not cfg.is_file():
             raise ConfigError(f"{arguments.run}: not a run directory (no config.yaml); expected one that train.py made")
@@ -96,8 +117,7 @@ def _trained_baseline(arguments: argparse.Namespace, learned: bool) -> Method:
 
 
 def _policy(arguments: argparse.Namespace) -> Method:
-    path = arguments.policy if arguments.policy is not None else checkpoint.latest(arguments.run)
-    return method_of(read_policy(path))
+    return method_of(read_policy(policy_file(arguments) or checkpoint.latest(arguments.run)))
 
 
 def _task(method: Method) -> str:

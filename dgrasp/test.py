@@ -63,7 +63,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                         "paper; static_grasp takes its grasps from --run or --policy, else from the labels by PD; "
                         "flat_rl and learned_motion are runs of their own")
     what = parser.add_mutually_exclusive_group()
-    what.add_argument("--run", type=Path, metavar="DIR", help="the last checkpoint of a training run")
+    what.add_argument("--run", type=Path, metavar="DIR|pretrained", help="the last checkpoint of a training run, or "
+                      "the policy that ships")
     what.add_argument("--policy", type=Path, metavar="FILE", help="a checkpoint, ours or one of the authors'; or "
                       "weights of `dgrasp publish`")
     parser.add_argument("--table", choices=(*NAMES, "all"), help="a table of the paper: evaluate what is there, say "

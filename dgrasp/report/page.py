@@ -57,14 +57,18 @@ def html_text(
     sections = [
         _head(result),
         _figures(result),
-        _replays(shown) if data else "",
+        replays_section(shown) if data else "",
         _section("bars", "By object" + (", beside the paper" if result.paper else ""),
                  _key(result) + f'<div class="scroll">{charts.bars(result)}</div>'),
         _window(result, dt) if "success" in result.mean_over_labels else "",
         _section("numbers", "All numbers", _table(result) + _remarks(result)),
         _downloads(result, extra),
     ]
-    title = f"{output.title(result)} \u2013 D-Grasp"
+    return document(output.title(result), sections, data)
+
+
+def document(title: str, sections: Sequence[str], data: Mapping[str, Any] | None) -> str:
+    """A page of these sections. data: what `replay.pack` made, where one of them is `replays_section`."""
     scripts = "".join(f"<script>{(_ASSETS / name).read_text(encoding='utf-8')}</script>\n"
                       for name in ("viewer.js", "page.js")) if data else ""
     # "<" could end the script element; JSON allows its number instead.
@@ -74,7 +78,8 @@ def html_text(
         f'<meta http-equiv="Content-Security-Policy" content="{_POLICY}">\n'
         '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
         '<meta name="color-scheme" content="light dark">\n'
-        f"<title>{escape(title)}</title>\n<style>{(_ASSETS / 'report.css').read_text(encoding='utf-8')}</style>\n"
+        f"<title>{escape(title)} \u2013 D-Grasp</title>\n"
+        f"<style>{(_ASSETS / 'report.css').read_text(encoding='utf-8')}</style>\n"
         f"</head>\n<body>\n<main>\n{''.join(sections)}</main>\n"
         f'<script type="application/json" id="replay-data">{packed}</script>\n{scripts}</body>\n</html>\n'
     )
@@ -157,7 +162,8 @@ def _kinds(found: Mapping[str, int]) -> str:
             f"<tbody>{rows}</tbody></table>")
 
 
-def _replays(shown: Sequence[tuple[str, EpisodeRecord, dict[str, Any]]]) -> str:
+def replays_section(shown: Sequence[tuple[str, EpisodeRecord, dict[str, Any]]]) -> str:
+    """The viewer, and a button for each of the episodes (group, record, row) in the order of `replay.pack`."""
     thumbs: dict[str, list[str]] = {}
     for place, (group, _, row) in enumerate(shown):
         said = replay.told(row)
@@ -174,7 +180,7 @@ def _replays(shown: Sequence[tuple[str, EpisodeRecord, dict[str, Any]]]) -> str:
             f'<span><i class="k-{kind}"></i>{said}</span></button>'
         )
     strips = "".join(
-        f'<h3>{"Worst" if group == "worst" else "Best"} {len(buttons)}</h3><div class="strip">{"".join(buttons)}</div>'
+        f'<h3>{escape(group.capitalize())} {len(buttons)}</h3><div class="strip">{"".join(buttons)}</div>'
         for group, buttons in thumbs.items()
     )
     return _section("replays", "Replays", f"""

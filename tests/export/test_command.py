@@ -89,3 +89,24 @@ def test_a_folder_for_records_that_holds_something_is_refused_first(
     (tmp_path / "mine.txt").write_text("x")
     assert run_command("test", ["--baseline", "gt_pd", "--data", "free", "--records", str(tmp_path)]) == 2
     assert "not an empty folder" in capsys.readouterr().err
+
+
+def test_view_writes_a_page_and_opens_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_folder(tmp_path / "in", [sequence()])
+    opened: list[str] = []
+    monkeypatch.setattr("webbrowser.open", lambda address: bool(opened.append(address)))
+    assert run_command("view", [str(tmp_path / "in")]) == 0
+    page = (tmp_path / "in" / "view.html").read_text()
+    assert opened == [(tmp_path / "in" / "view.html").as_uri()] and "no browser here" in capsys.readouterr().out
+    text = page.split('id="replay-data">')[1].split("</script>")[0]
+    (replay,) = json.loads(text)["replays"]
+    assert (replay["object"], replay["index"], replay["n"]) == ("004_sugar_box", 0, 8)
+    assert "Sequences 1" in page and "http" not in page.replace("http-equiv", "").replace("http://www.w3.org", "")
+    file, out = tmp_path / "in" / "004_sugar_box_0000.npz", tmp_path / "one.html"
+    assert run_command("view", [str(file), "--out", str(out), "--no-browser"]) == 0
+    assert out.read_text() != "" and len(opened) == 1
+    assert run_command("view", [str(file), "--out", str(tmp_path / "no" / "a.html")]) == 2
+    assert run_command("view", [str(tmp_path / "none")]) == 2
+    assert "error: " in capsys.readouterr().err

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,7 @@ import pytest
 import torch
 from safetensors.torch import save_file
 
+from dgrasp import request
 from dgrasp.cli import run_command
 from dgrasp.config import Config
 from dgrasp.errors import DataError
@@ -87,7 +89,9 @@ def test_damaged_files_are_refused_or_sound(tmp_path: Path) -> None:
         read_weights(tmp_path / "none.safetensors")
 
 
-def test_from_a_run_to_a_result(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_from_a_run_to_a_result(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     """A policy brings its own features; told others, it is refused."""
     data = make_folder(tmp_path / "free")
     words = ["--data", str(data), *SHORT]
@@ -95,11 +99,18 @@ def test_from_a_run_to_a_result(tmp_path: Path, capsys: pytest.CaptureFixture[st
     assert run_command("train", ["--run", str(run), *words, "env.scaled_features=true"]) == 0
     assert run_command("publish", [str(run), "--out", str(weights)]) == 0
     assert "MIT" in capsys.readouterr().out
+    shipped = tmp_path / request.PRETRAINED_FILE
+    shipped.parent.mkdir()
+    shutil.copy(weights, shipped)
+    monkeypatch.setattr(request, "data_root", lambda: tmp_path)
     results = []
-    for source in (["--run", str(run)], ["--policy", str(weights)], ["--policy", str(run / "best.pt")]):
+    for source in (["--run", str(run)], ["--policy", str(weights)], ["--policy", str(run / "best.pt")],
+                   ["--run", "pretrained"]):  # fmt: skip
         assert run_command("test", [*source, *words, "--json", str(tmp_path / "r.json")]) == 0
         results.append(json.loads((tmp_path / "r.json").read_text())["per_label"])
-    assert results[0] == results[1] == results[2]
+    assert results[1:] == results[:1] * 3
+    shipped.unlink()
+    assert run_command("test", ["--run", "pretrained"]) == 2
     capsys.readouterr()
     for other in (["--cfg", "cfg/dexycb.yaml"], ["env.scaled_features=false"]):
         assert run_command("test", ["--policy", str(weights), *words, *other]) == 2
