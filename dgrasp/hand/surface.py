@@ -86,8 +86,8 @@ def hand_surface(hand: HandModel, mano: Path | None, meta: dict[str, Any]) -> Ha
 
 
 def rigid_surface(hand: HandModel) -> RigidSurface:
-    """The part meshes, else the collision shapes; a `DataError` where the hand has neither."""
-    meshes = _part_meshes(hand)
+    """The part meshes, of the free hand its skin's, else the collision shapes; a `DataError` where there is neither."""
+    meshes = _part_meshes(hand) or _skin_parts(hand)
     if meshes is not None:
         return RigidSurface(PART_MESHES, hand, list(range(N_PARTS)), meshes)
     parts, pieces = [], []
@@ -114,6 +114,16 @@ def _free_skinned(hand: HandModel, meta: dict[str, Any]) -> SkinnedSurface | Non
         return None
     model, betas, joints = _shaped(free_skin(), meta)
     return SkinnedSurface(model, betas) if _apart(joints, hand.offsets) <= SAME_JOINTS else None
+
+
+def _skin_parts(hand: HandModel) -> list[Body] | None:
+    """The parts of the free hand's skin in their frames; None for another hand."""
+    model = free_skin()
+    vertices, joints = model.shaped(np.zeros(0))
+    if hand.id != HAND_NAME or _apart(joints, hand.offsets) > SAME_JOINTS:
+        return None
+    parts = segment(vertices, model.faces, model.part_weights(), joints)
+    return [body([(part.vertices, part.faces)]) for part in parts]
 
 
 def mano_of_hand(file: Path, offsets: Array, hand_id: str, meta: dict[str, Any]) -> tuple[ManoModel, Array, Array]:

@@ -62,6 +62,14 @@ def test_free_hand_has_its_skin(pose: tuple[Array, Array]) -> None:
     assert join(surface.pieces(*pose)).bounds == pytest.approx(bounds, abs=1e-9)
 
 
+def test_parts_of_the_free_hand_are_cut_from_its_skin() -> None:
+    surface = rigid_surface(free_hand())
+    assert surface.kind == PART_MESHES
+    flat = np.eye(4), np.zeros(45)
+    rigid, skin = (join(s.pieces(*flat)).solid.volume() for s in (surface, hand_surface(free_hand(), None, {})))
+    assert rigid == pytest.approx(skin, rel=1e-6)
+
+
 def test_a_free_hand_of_other_joints_keeps_its_shapes() -> None:
     hand = free_hand()
     longer = dataclasses.replace(hand, offsets=1.1 * hand.offsets)
@@ -69,7 +77,7 @@ def test_a_free_hand_of_other_joints_keeps_its_shapes() -> None:
 
 
 def test_a_hand_without_meshes_has_its_collision_shapes(pose: tuple[Array, Array]) -> None:
-    hand = free_hand()
+    hand = dataclasses.replace(free_hand(), id="somebody's")
     surface = rigid_surface(hand)
     assert surface.kind == COLLISION
     pieces = surface.pieces(*pose)
