@@ -67,7 +67,7 @@ def test_parts_of_the_free_hand_are_cut_from_its_skin() -> None:
     assert surface.kind == PART_MESHES
     flat = np.eye(4), np.zeros(45)
     rigid, skin = (join(s.pieces(*flat)).solid.volume() for s in (surface, hand_surface(free_hand(), None, {})))
-    assert rigid == pytest.approx(skin, rel=1e-6)
+    assert rigid == pytest.approx(skin, rel=1e-4)
 
 
 def test_a_free_hand_of_other_joints_keeps_its_shapes() -> None:
