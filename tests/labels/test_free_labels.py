@@ -7,7 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dgrasp.hand.free_hand import HAND_NAME, URDF_PATH
+from dgrasp.hand.free_hand import URDF_PATH
+from dgrasp.hand.free_skin import HAND_NAME
 from dgrasp.hand.model import HandModel, load_hand
 from dgrasp.labels.distance import HandSpheres
 from dgrasp.labels.free_rest import lowest, place_at_rest
@@ -72,12 +73,12 @@ def test_distance_to_a_mesh_is_refused() -> None:
 
 
 def test_hand_parts_against_a_table_like_box(hand: HandModel) -> None:
-    # The palm faces -y and its inner face is 18 mm from the wrist's axis; the flat hand's middle fingertip has
-    # a radius of 7.5 mm. The box's face stands at y = -20 mm.
+    # The palm faces -y and its inner face is 18 mm from the wrist's axis; the flat hand's middle fingertip reaches
+    # 8 mm below it. The box's face stands at y = -20 mm.
     box = [Shape("box", (2.0, 2.0, 2.0), position=(0.0, -1.02, 0.0))]
     T = np.eye(4)[None]
     distance = part_distances(hand, HandSpheres.of_hand(hand), box, T, np.zeros((1, 45)), T)[0]
-    assert distance[6] == pytest.approx(0.0125, abs=1e-6)
+    assert distance[6] == pytest.approx(0.012, abs=5e-4)
     assert distance[0] < 0.002
     moved = np.eye(4)[None].copy()
     moved[0, :3, 3] = 1.0, 2.0, 3.0
@@ -108,7 +109,7 @@ def test_counts_and_description() -> None:
     for name, count in (("train", 376), ("test", 124)):
         labels, meta = read_native_with_meta(FILES[name])
         assert len(labels) == count
-        assert (meta["hand"], meta["licence"], meta["sources"]) == ("free", "MIT", ["free"])
+        assert (meta["hand"], meta["licence"], meta["sources"]) == ("free", "MIT", ["synthesised"])
         assert meta["objects"] == [entry.name for entry in CATALOGUE]
         for entry in CATALOGUE:
             mine = of_object(labels, entry.name)
@@ -150,9 +151,10 @@ def test_hand_object_and_table(name: str, shipped: list[GraspLabel], hand: HandM
     assert np.abs(T_WO[:, :2] - T_WO_rest[:, :2]).max() < 1e-12
     distance = part_distances(hand, spheres, model.shapes, T_WH, pose, T_WO)
     contacts = stack(labels, "goal_contacts")
-    np.testing.assert_array_equal(contacts, distance < 0.015)
+    # Labels are made with distances on a grid, exact to half a millimetre but at the edges of thin walls.
+    assert (contacts != (distance < 0.015)).mean() < 0.01
     assert (contacts[:, 13:].any(axis=1) & contacts[:, 1:13].any(axis=1)).all()
-    assert distance.min() > -MAX_DEPTH
+    assert distance.min() > -MAX_DEPTH - 5e-4
     assert hand_bottom(hand, spheres, T_WH, pose).min() > TABLE_TOP
     start_WH, start_pose = np.array([s.T_WH for s in starts]), np.array([s.hand_pose for s in starts])
     assert hand_bottom(hand, spheres, start_WH, start_pose).min() > TABLE_TOP + START_CLEARANCE
@@ -162,10 +164,13 @@ def test_hand_object_and_table(name: str, shipped: list[GraspLabel], hand: HandM
     assert drawn_back.min() > 0.0999 and drawn_back.max() < 0.1501
 
 
-def test_some_grasps_hold_and_some_do_not(shipped: list[GraspLabel]) -> None:
+def test_some_grasps_hold_and_some_do_not() -> None:
+    """By the trial that chose them, which is told with the labels."""
     _, meta = read_native_with_meta(FILES["train"])
-    held = meta["provenance"]["hold_in_train_and_test"]
-    assert 0.2 < sum(held.values()) / len(shipped) < 0.5
+    figures = meta["provenance"]["per_object"]
+    assert list(figures) == [entry.name for entry in CATALOGUE]
+    assert 0.2 < sum(row["held"] for row in figures.values()) / 500 < 0.5
+    assert np.mean([row["best_quarter_held"] for row in figures.values()]) > 0.6
 
 
 def test_split_is_proportional_and_renumbered(shipped: list[GraspLabel]) -> None:
