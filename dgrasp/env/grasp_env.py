@@ -62,7 +62,7 @@ class GraspEnv:
         self.s = state_views(n)
         self.o = StepArrays.allocate(n, self.layer.size, len(self.reward.names))
         self.goal = make_goal(self.labels)
-        self.starts = [start_pose(label, self.objects[label.object_id]) for label in self.labels]
+        self.starts = [start_pose(label, self.hand) for label in self.labels]
         self.scenes = [self._new_scene(i) for i in range(n)]
         self.s.object_mass[:] = [scene.object_model.mass for scene in self.scenes]
         self._object_state = np.zeros((n, 13))
@@ -90,8 +90,11 @@ class GraspEnv:
         return LabelPose(env.action) if self.mode == "label" else GRASP_CONTROLLERS[env.wrist](env.action)
 
     def _new_scene(self, i: int) -> Scene:
-        model = self.objects[self.labels[i].object_id]
-        return self.make_scene(self.hand, model, self.config.physics, self.config.engine)
+        label, physics = self.labels[i], self.config.physics
+        if not label.on_table:
+            # Such grasps may come from below (supplement, B.5: no collision between hand and surface).
+            physics = physics.model_copy(update={"hand_table_collision": False})
+        return self.make_scene(self.hand, self.objects[label.object_id], physics, self.config.engine)
 
     def close(self) -> None:
         """Free all worlds."""

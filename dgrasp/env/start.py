@@ -7,7 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from dgrasp.config import NoiseConfig
-from dgrasp.objects.model import ObjectModel
+from dgrasp.hand.free_skin import rest_pose
+from dgrasp.hand.mano_model import MIRROR_ANGLES
+from dgrasp.hand.model import HandModel
 from dgrasp.types import Array, GraspLabel, StartPose
 from raisim_like.rotations import matrix_from_euler
 
@@ -17,8 +19,8 @@ GOLDEN = 0.6180339887498949
 """Steps of this share of a circle visit all of it evenly."""
 
 
-def start_pose(label: GraspLabel, model: ObjectModel) -> StartPose:
-    """The label's own start, or the wrist drawn back from the object with a flat hand."""
+def start_pose(label: GraspLabel, hand: HandModel) -> StartPose:
+    """The label's own start, or the wrist drawn back from the object with a hand at rest."""
     if label.start is not None:
         return label.start
     away = label.T_WH[:3, 3] - label.T_WO[:3, 3]
@@ -26,7 +28,16 @@ def start_pose(label: GraspLabel, model: ObjectModel) -> StartPose:
     direction = away / distance if distance > 1e-6 else np.array([0.0, 0.0, 1.0])
     T_WH = label.T_WH.copy()
     T_WH[:3, 3] += APPROACH_DISTANCE * direction
-    return StartPose(T_WH, label.T_WO, np.zeros(45))
+    return StartPose(T_WH, label.T_WO, at_rest(hand))
+
+
+def at_rest(hand: HandModel) -> Array:
+    """(45,) finger angles of a hand at rest: the free model's mean pose, in the place of MANO's, within the limits."""
+    angles = rest_pose()
+    if "_left-" in hand.id:
+        angles = angles * np.tile(MIRROR_ANGLES, 15)
+    clipped: Array = np.clip(angles, *hand.limits[6:].T)
+    return clipped
 
 
 def with_noise(start: StartPose, noise: NoiseConfig, rng: np.random.Generator) -> StartPose:

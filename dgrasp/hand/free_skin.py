@@ -15,6 +15,7 @@ from dgrasp.errors import DataError
 from dgrasp.hand.free_anatomy import hand_parts
 from dgrasp.hand.mano import model_of
 from dgrasp.hand.mano_model import ManoModel
+from dgrasp.hand.mano_pose import project_pose
 from dgrasp.labels.npz_reader import open_npz
 from dgrasp.paths import data_root
 from dgrasp.types import Array
@@ -60,3 +61,9 @@ def read_skin(path: Path) -> ManoModel:
 def free_limits() -> Array:
     """(45, 2) rad: the free hand's joint limits."""
     return np.concatenate([part.limits for part in hand_parts()[1:]])
+
+
+@cache
+def rest_pose() -> Array:
+    """(45,) rad: the fingers of a right hand at rest, which is the model's mean pose."""
+    return project_pose(free_skin().hands_mean[None])[0]

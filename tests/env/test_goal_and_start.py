@@ -7,9 +7,12 @@ from dataclasses import replace
 import numpy as np
 
 from dgrasp.env.goal import make_goal
-from dgrasp.env.start import APPROACH_DISTANCE, start_pose
+from dgrasp.env.grasp_env import GraspEnv
+from dgrasp.env.start import APPROACH_DISTANCE, at_rest, start_pose
+from dgrasp.scene.scene import Scene
 from raisim_like.rotations import matrix_from_euler, transform
-from tests.env.build import box, moved_label, random_labels, random_rotations
+from tests.env.build import moved_label, random_labels, random_rotations
+from tests.scenes import free_hand, make_spec
 
 
 def test_goals_are_relative_to_the_object() -> None:
@@ -36,24 +39,49 @@ def test_with_the_object_in_the_worlds_frame_goals_are_the_labels_numbers() -> N
 
 def test_a_label_keeps_its_own_start() -> None:
     (one,) = random_labels(1)
-    assert start_pose(one, box()) is one.start
+    assert start_pose(one, free_hand()) is one.start
 
 
 def test_without_a_start_the_wrist_is_drawn_back_from_the_object() -> None:
     for one in random_labels(4):
-        start = start_pose(replace(one, start=None), box())
+        start = start_pose(replace(one, start=None), free_hand())
         away = one.T_WH[:3, 3] - one.T_WO[:3, 3]
         drawn = start.T_WH[:3, 3] - one.T_WH[:3, 3]
         assert np.allclose(drawn, APPROACH_DISTANCE * away / np.linalg.norm(away), atol=1e-12)
         assert np.array_equal(start.T_WH[:3, :3], one.T_WH[:3, :3])
         assert np.array_equal(start.T_WO, one.T_WO)
-        assert start.hand_pose.tolist() == [0.0] * 45
+        # Fingers of a hand at rest are bent, none straight, and within the limits.
+        flexion = start.hand_pose.reshape(15, 3)[:12, 2]
+        assert flexion.min() > 0.05 and flexion.max() < 1.0
+        low, high = free_hand().limits[6:].T
+        assert (start.hand_pose >= low).all() and (start.hand_pose <= high).all()
+
+
+def test_a_left_hand_at_rest_is_the_mirror_image() -> None:
+    right = free_hand()
+    left = replace(right, id="mano_left-0123", limits=np.tile([-3.0, 3.0], (51, 1)))
+    wide = replace(right, limits=np.tile([-3.0, 3.0], (51, 1)))
+    assert np.array_equal(at_rest(left).reshape(15, 3), at_rest(wide).reshape(15, 3) * [1, -1, -1])
 
 
 def test_a_wrist_in_the_objects_centre_goes_up() -> None:
     (one,) = random_labels(1)
     inside = replace(one, T_WH=one.T_WO.copy(), start=None)
-    start = start_pose(inside, box())
+    start = start_pose(inside, free_hand())
     assert np.allclose(start.T_WH[:3, 3] - one.T_WO[:3, 3], [0, 0, APPROACH_DISTANCE], atol=1e-15)
     # The label itself is not touched.
     assert np.array_equal(inside.T_WH, one.T_WO)
+
+
+def test_the_table_stops_the_hand_of_labels_alone_that_know_it() -> None:
+    """Grasps of synthesis methods may come from below the surface (supplement, B.5)."""
+    spec = make_spec(2, [])
+    labels = [spec.labels[0], replace(spec.labels[1], on_table=False)]
+    asked = []
+
+    def make(hand, model, physics, engine):
+        asked.append(physics.hand_table_collision)
+        return Scene(hand, model, physics, engine)
+
+    GraspEnv(labels, spec.hand, spec.objects, spec.config, make_scene=make).close()
+    assert asked == [True, False] and spec.config.physics.hand_table_collision
