@@ -16,6 +16,7 @@ from dgrasp.env.goal import make_goal
 from dgrasp.env.rewards import Reward
 from dgrasp.env.start import start_pose, taking_part, with_noise
 from dgrasp.env.state import StepArrays, state_views
+from dgrasp.env.training_hold import TrainingHold
 from dgrasp.hand.model import HandModel
 from dgrasp.hand.skeleton import ACTION_SIZES, N_DOF
 from dgrasp.objects.model import ObjectModel
@@ -66,17 +67,15 @@ class GraspEnv:
         self.scenes = [self._new_scene(i) for i in range(n)]
         self.s.object_mass[:] = [scene.object_model.mass for scene in self.scenes]
         self._object_state = np.zeros((n, 13))
-        self._target, self._hold_target = np.zeros((n, N_DOF)), np.zeros((n, N_DOF))
+        self._target = np.zeros((n, N_DOF))
         self._limits = self.hand.limits.T.copy()
         self._rng: list[np.random.Generator] = []
         self.mode: Mode = "train"
         self.control = self._start_control()
-        self.hold = WristHold(env.action, self.s)
+        self.hold = TrainingHold(env, self.s, n)
         self.alive = np.ones(n, bool)
         self.active = np.ones(n, bool)
         """Environments that take part in this epoch (`labels.per_epoch`)."""
-        self._removal = np.zeros(n, int)
-        self._drop_height = np.zeros(n)
         self._path: Array | None = None
         self._path_step = 0
         self.clock = np.zeros(n, int)
@@ -162,9 +161,8 @@ class GraspEnv:
         self._engine_state(i)
         s.contact_impulse[i] = 0.0
         self.clock[i] = 0
-        hold = self.config.env.hold
-        if self.mode == "train" and hold.first_step is not None:
-            self._removal[i] = self._rng[i].integers(hold.first_step, hold.last_step + 1)
+        if self.mode == "train":
+            self.hold.draw(i, self._rng[i])
 
     # Step --------------------------------------------------------------------------------------
 
@@ -181,9 +179,7 @@ class GraspEnv:
             self._bury(np.flatnonzero(broken))
         self._derive(slice(None))
         np.divide(self.clock, self.config.env.episode_steps, out=self.s.episode_time)
-        dropped = (self.s.table_gone > 0) & (self.s.object_pos_W[:, 2] < self._drop_height)
-        if self._training_hold:
-            self._hold_share(dropped)
+        dropped = self.hold.judge(self.s) if self._training_hold else np.zeros(self.num_envs, bool)
         r = relations(self.s, self.goal)
         self._pay(r)
         self.layer(self.s, self.goal, r, self.o.observation)
@@ -193,7 +189,7 @@ class GraspEnv:
         self.o.broken[:] = self.o.terminated[:] = broken
         self.o.truncated[:] = False
         if self.mode == "train":
-            fallen = self._training_hold & dropped & self.active & ~broken
+            fallen = dropped & self.active & ~broken
             self.o.terminated |= fallen
             self.o.truncated[:] = ~self.o.terminated & (self.clock >= self.config.env.episode_steps) & self.active
             ended = fallen | self.o.truncated
@@ -204,14 +200,12 @@ class GraspEnv:
     def _aim_joints(self, actions: Array) -> None:
         """Write the PD targets of this step: the controller's bias and the residual actions."""
         if self._training_hold:
-            self._begin_holds()
+            for i in self.hold.begin(self.s, self.clock, self.active).tolist():
+                self._release(i, self.hold.control)
         self.control.bias(self.s, self.goal, self._target)
         sigma = self.control.sigma
         if self._training_hold:
-            held = self.s.table_gone > 0
-            self.hold.bias(self.s, self.goal, self._hold_target)
-            self._target[held] = self._hold_target[held]
-            sigma = np.where(held[:, None], self.hold.sigma, sigma)
+            sigma = self.hold.aim(self.s, self.goal, sigma, self._target)
         self._target += sigma * actions
 
     def _pay(self, r: Relations) -> None:
@@ -220,24 +214,7 @@ class GraspEnv:
 
     @property
     def _training_hold(self) -> bool:
-        return self.mode == "train" and self.config.env.hold.first_step is not None
-
-    def _hold_share(self, dropped: Array) -> None:
-        """Write how well the objects without a table are held."""
-        hold, s = self.config.env.hold, self.s
-        share = np.clip((s.object_pos_W[:, 2] - self._drop_height) / hold.drop, 0.0, 1.0) if hold.graded else ~dropped
-        np.multiply(s.table_gone, share, out=s.holding)
-
-    def _begin_holds(self) -> None:
-        """Take the table away where it is time to, and hold the wrist there."""
-        rows = np.flatnonzero(self.active & (self.s.table_gone == 0) & (self.clock >= self._removal))
-        if not len(rows):
-            return
-        self.hold.catch(self.s, rows)
-        self.s.table_gone[rows] = 1.0
-        self._drop_height[rows] = self.s.object_pos_W[rows, 2] - self.config.env.hold.drop
-        for i in rows.tolist():
-            self._release(i, self.hold)
+        return self.mode == "train" and self.hold.exists
 
     def _release(self, i: int, control: Controller) -> None:
         """One world without its table, its wrist as stiff as the controller wants it."""

@@ -1,0 +1,49 @@
+"""The test's hold inside training episodes (`env.hold`): the table goes, the wrist stays, a drop ends the episode."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from dgrasp.config import EnvConfig
+from dgrasp.control.controllers import WristHold
+from dgrasp.hand.skeleton import N_DOF
+from dgrasp.types import Array, GraspGoal, SceneState
+
+
+class TrainingHold:
+    """For N environments; does nothing where `env.hold.first_step` is null. control: the wrist's while it is held."""
+
+    def __init__(self, env: EnvConfig, state: SceneState, n: int) -> None:
+        self.config, self.control = env.hold, WristHold(env.action, state)
+        self.exists = env.hold.first_step is not None
+        self._removal, self._drop_height = np.zeros(n, int), np.zeros(n)
+        self._target = np.zeros((n, N_DOF))
+
+    def draw(self, i: int, rng: np.random.Generator) -> None:
+        """Draw the step at which an episode's table goes."""
+        if self.config.first_step is not None:
+            self._removal[i] = rng.integers(self.config.first_step, self.config.last_step + 1)
+
+    def begin(self, state: SceneState, clock: Array, active: Array) -> Array:
+        """Rows of the environments whose table goes now; their wrists are held from here on."""
+        rows = np.flatnonzero(active & (state.table_gone == 0) & (clock >= self._removal))
+        if len(rows):
+            self.control.catch(state, rows)
+            state.table_gone[rows] = 1.0
+            self._drop_height[rows] = state.object_pos_W[rows, 2] - self.config.drop
+        return rows
+
+    def aim(self, state: SceneState, goal: GraspGoal, sigma: Array, target: Array) -> Array:
+        """Writes the PD targets (N, 51) of held hands into `target`; returns the scale of each one's actions."""
+        held = state.table_gone > 0
+        self.control.bias(state, goal, self._target)
+        target[held] = self._target[held]
+        return np.where(held[:, None], self.control.sigma, sigma)
+
+    def judge(self, state: SceneState) -> Array:
+        """(N,) bool: who has dropped the object. Writes how well it is held, `state.holding`, 0 to 1."""
+        left = state.object_pos_W[:, 2] - self._drop_height
+        dropped: Array = (state.table_gone > 0) & (left < 0.0)
+        share = np.clip(left / self.config.drop, 0.0, 1.0) if self.config.graded else ~dropped
+        np.multiply(state.table_gone, share, out=state.holding)
+        return dropped
