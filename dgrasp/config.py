@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import yaml
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
 from dgrasp.config_values import apply_overrides, parse_yaml
 from dgrasp.errors import ConfigError
@@ -37,6 +37,14 @@ class LabelsConfig(_Section):
     objects: list[str] = []
     limit_per_object: Count | None = None
     per_epoch: Count | None = None
+
+    @field_validator("objects", mode="before")
+    @classmethod
+    def _names(cls, value: Any) -> Any:
+        # YAML reads 004 as 4 and 010 as 8: what was meant cannot be told.
+        if isinstance(value, list) and any(isinstance(name, (int, float)) for name in value):
+            raise ValueError("expected names such as 004_sugar_box, or numbers in quotes: ['004']")
+        return value
 
 
 class PhysicsConfig(_Section):
