@@ -84,8 +84,9 @@ def _test(saved: SavedPolicy, run_dir: Path, words: list[str]) -> dict[str, Resu
         result, records, spec = evaluate_choice(method, config, choice)
         results[method.name] = result
         output.write_json(result, run_dir / f"{method.name}.json")
-        write_report(run_dir / f"{method.name}.html", result, records, display_meshes(choice, spec))
-    write_gif(run_dir / "grasps.gif", records, spec)
+        meshes = display_meshes(choice, spec)
+        write_report(run_dir / f"{method.name}.html", result, records, meshes)
+    write_gif(run_dir / "grasps.gif", records, meshes)
     return results
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 import time
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -27,6 +28,7 @@ from dgrasp.eval.method import Method
 from dgrasp.eval.motion import check_method, choose_targets, motion_result, run_motions, usual_set
 from dgrasp.eval.summary import Result, label_row, summarise
 from dgrasp.export.collect import display_meshes, sequences
+from dgrasp.export.film import record_pictures
 from dgrasp.export.sequence import check_folder, write_folder
 from dgrasp.pool import PoolSpec, make_pool
 from dgrasp.report.page import write_report
@@ -35,7 +37,8 @@ from dgrasp.rl import checkpoint
 from dgrasp.rl.progress import format_duration
 from dgrasp.tables.plan import NAMES
 from dgrasp.types import EpisodeRecord
-from dgrasp.view.frames import gif_bytes, render_record, tile
+from dgrasp.view.frames import gif_bytes, tile
+from dgrasp.view.meshes import DisplayMeshes
 from raisim_like.engines import ENGINES
 
 HELP = """\
@@ -135,14 +138,14 @@ def main(arguments: argparse.Namespace) -> int:
         output.write_csv(result, arguments.json.with_suffix(".csv"))
         output.write_markdown(result, arguments.json.with_suffix(".md"))
         write_latex(result, arguments.json.with_suffix(".tex"))
-    if arguments.report is not None or arguments.records is not None:
+    if any(shown is not None for shown in (arguments.report, arguments.records, arguments.gif)):
         meshes = display_meshes(choice, spec)
         if arguments.records is not None:
             write_folder(arguments.records, sequences(result, records, spec, choice, meshes))
         if arguments.report is not None:
             write_report(arguments.report, result, records, meshes, extra)
-    if arguments.gif is not None:
-        write_gif(arguments.gif, records, spec)
+        if arguments.gif is not None:
+            write_gif(arguments.gif, records, meshes)
     return 0
 
 
@@ -188,13 +191,14 @@ def evaluate_motion(
     return motion_result(motions, method, config, choice, targets, spec.labels), motions.records, spec
 
 
-def write_gif(path: Path, records: list[EpisodeRecord], spec: PoolSpec, count: int = 6) -> None:
+def write_gif(
+    path: Path, records: Sequence[EpisodeRecord], meshes: Mapping[str, DisplayMeshes], count: int = 6
+) -> None:
     """A GIF of some episodes side by side, spread over the labels."""
-    chosen = [records[i * len(records) // min(count, len(records))] for i in range(min(count, len(records)))]
-    clips = [
-        render_record(r, spec.hand, spec.objects[r.label.object_id], spec.config.engine, every=5) for r in chosen
-    ]
-    checkpoint.atomic_write_bytes(path, gif_bytes(tile(clips, columns=3), 5 * spec.config.control_period))
+    there = [record for record in records if len(record.gc)]
+    chosen = [there[i * len(there) // min(count, len(there))] for i in range(min(count, len(there)))]
+    clips = [list(record_pictures(r, meshes[r.label.object_id], every=5, size=(320, 240))) for r in chosen]
+    checkpoint.atomic_write_bytes(path, gif_bytes(tile(clips, columns=3), 5 * chosen[0].dt))
 
 
 class _Progress:

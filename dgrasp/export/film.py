@@ -13,11 +13,11 @@ from dgrasp.errors import ConfigError, DataError
 from dgrasp.export.sequence import StoredSequence
 from dgrasp.hand.build import write_obj
 from dgrasp.hand.segment import PartMesh
-from dgrasp.scene.scene import TABLE_SIZE, TABLE_XY
-from dgrasp.types import Array
+from dgrasp.scene.scene import LOWERED_TOP, TABLE_SIZE, TABLE_TOP, TABLE_XY
+from dgrasp.types import Array, EpisodeRecord
 from dgrasp.view.camera import eye, viewpoint
 from dgrasp.view.frames import HAND_COLOR, OBJECT_COLOR, TABLE_COLOR, gif_bytes
-from dgrasp.view.meshes import BODIES, body_poses, table_tops
+from dgrasp.view.meshes import BODIES, DisplayMeshes, body_poses, table_tops
 from raisim_like.shapes import Shape
 from raisim_like.world import World
 
@@ -29,9 +29,17 @@ GIF_EVERY = 2
 
 def pictures(sequence: StoredSequence, every: int = 1, size: tuple[int, int] = SIZE) -> Iterator[Array]:
     """Frames (height, width, 3) uint8, one for every `every` control steps."""
-    record, meshes = sequence.record, sequence.meshes
+    table = sequence.about["table"]
+    yield from record_pictures(sequence.record, sequence.meshes, (table["top_m"], table["lowered_m"]), every, size)
+
+
+def record_pictures(
+    record: EpisodeRecord, meshes: DisplayMeshes, table_m: tuple[float, float] = (TABLE_TOP, LOWERED_TOP),
+    every: int = 1, size: tuple[int, int] = SIZE,
+) -> Iterator[Array]:  # fmt: skip
+    """The same of a record. table_m: heights of the table's top, and of it once it is taken away."""
     q, t = body_poses(meshes, record)
-    tops = table_tops(record, sequence.about["table"]["top_m"], sequence.about["table"]["lowered_m"])
+    tops = table_tops(record, *table_m)
     target, yaw = viewpoint(record)
     world = World("pybullet")
     try:
