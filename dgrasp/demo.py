@@ -1,4 +1,4 @@
-"""`make demo`: what the policy that ships does beside PD control, and a training of minutes from nothing."""
+"""`make demo`: PD control on the free labels, the policy where one ships, and a training of minutes from nothing."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from dgrasp.config_values import apply_overrides
 from dgrasp.data import resolve
 from dgrasp.errors import ConfigError
 from dgrasp.eval import output
-from dgrasp.eval.method import PolicyMethod
+from dgrasp.eval.method import Method, PolicyMethod
 from dgrasp.eval.paper import MOTION_OBJECTS
 from dgrasp.eval.summary import Result
 from dgrasp.export.collect import display_meshes
@@ -31,9 +31,10 @@ from dgrasp.test import evaluate_choice, evaluate_motion, write_gif
 from dgrasp.train import next_run, start_run, train
 
 HELP = """\
-Test the policy that ships beside PD control on labels that it has not seen, let it carry objects to target poses,
-and train another one from nothing for some minutes, all on the shipped hand, objects and labels.
-Leaves a run directory with reports that replay every grasp in 3D (gt_pd.html, policy.html, motion.html), the numbers
+Test PD control, and the policy where one ships with this version, on labels that it has not seen, let the policy carry
+objects to target poses, and train another one from nothing for some minutes, all on the shipped hand, objects and
+labels.
+Leaves a run directory with reports that replay every grasp in 3D (gt_pd.html; policy.html, motion.html), the numbers
 (.json), grasps.gif, and of the training checkpoints and TensorBoard events.
 """
 _OBJECT = "004_sugar_box"
@@ -60,26 +61,31 @@ def main(arguments: argparse.Namespace) -> int:
     print(choice.describe(), flush=True)
     torch.set_num_threads(1)
     start_run(run_dir, config, choice)
-    saved = read_policy(data_root() / PRETRAINED_FILE)
+    file = data_root() / PRETRAINED_FILE
+    saved = read_policy(file) if file.is_file() else None
     results = _test(saved, run_dir, words)
-    _carry(saved, run_dir, words)
+    if saved is not None:
+        _carry(saved, run_dir, words)
     print(f"\ntraining a policy from nothing on {len(choice.labels.labels)} labels of {_OBJECT} ...", flush=True)
     train(run_dir, config, choice)
     trained = read_run(run_dir)
     _print(results)
     print(f"own hand and labels: not comparable with the paper\n\ntrained from nothing on {_OBJECT}: "
-          f"{trained.number('control_steps'):,.0f} control steps, success {trained.number('success'):.2f}; the policy "
-          "that ships was trained for hours (docs/results.md)")
-    _print_next(run_dir)
+          f"{trained.number('control_steps'):,.0f} control steps, success {trained.number('success'):.2f}; longer ones: "
+          "docs/results.md")
+    _print_next(run_dir, saved is not None)
     return 0
 
 
-def _test(saved: SavedPolicy, run_dir: Path, words: list[str]) -> dict[str, Result]:
-    """Both methods on one test label of each object."""
+def _test(saved: SavedPolicy | None, run_dir: Path, words: list[str]) -> dict[str, Result]:
+    """PD control, and the policy where one ships, on one test label of each object."""
     config = _config_of(saved, [*_TEST, *words])
     choice, results = resolve(config), {}
     print(f"\n{len(choice.labels.labels)} labels that no policy was trained on", flush=True)
-    for method in (PdBaseline(), PolicyMethod(saved.policy)):
+    methods: list[Method] = [PdBaseline()]
+    if saved is not None:
+        methods.append(PolicyMethod(saved.policy))
+    for method in methods:
         print(f"testing {method.name} ...", flush=True)
         result, records, spec = evaluate_choice(method, config, choice)
         results[method.name] = result
@@ -103,8 +109,8 @@ def _carry(saved: SavedPolicy, run_dir: Path, words: list[str]) -> None:
           "on average, lost ones included")
 
 
-def _config_of(saved: SavedPolicy, words: list[str]) -> Config:
-    return make_config(apply_overrides(saved.config, words), str(PRETRAINED_FILE))
+def _config_of(saved: SavedPolicy | None, words: list[str]) -> Config:
+    return make_config(apply_overrides(saved.config if saved is not None else {}, words), str(PRETRAINED_FILE))
 
 
 def _print(results: dict[str, Result]) -> None:
@@ -124,15 +130,15 @@ def _print(results: dict[str, Result]) -> None:
     Console().print(table)
 
 
-def _print_next(run_dir: Path) -> None:
+def _print_next(run_dir: Path, shipped: bool) -> None:
     # An environment that is not active is named by its folder, so that the lines can be typed as they are.
     bin_dir = "" if shutil.which("dgrasp") else os.path.relpath(Path(sys.executable).parent) + os.sep
     print(
-        f"\nlook at it:       {run_dir / 'policy.html'} and motion.html in a browser\n"
+        f"\nlook at it:       {run_dir / ('policy.html' if shipped else 'gt_pd.html')} in a browser\n"
         f"the training:     {bin_dir}tensorboard --logdir {run_dir.parent}\n"
         f"train longer:     {bin_dir}dgrasp train --resume {run_dir} ppo.max_minutes=60\n"
         f"all objects:      {bin_dir}dgrasp train --cfg cfg/fast.yaml --data free\n"
-        f"test the shipped: {bin_dir}dgrasp test --run pretrained --data free --split test\n"
+        + f"test the shipped: {bin_dir}dgrasp test --run pretrained --data free --split test\n" * shipped +
         f"your own labels:  {bin_dir}dgrasp test --baseline gt_pd --labels FILE"
     )
 
