@@ -70,9 +70,9 @@ def main(arguments: argparse.Namespace) -> int:
     train(run_dir, config, choice)
     trained = read_run(run_dir)
     _print(results)
-    print(f"own hand and labels: not comparable with the paper\n\ntrained from nothing on {_OBJECT}: "
-          f"{trained.number('control_steps'):,.0f} control steps, success {trained.number('success'):.2f}; longer ones: "
-          "docs/results.md")
+    print("own hand and labels: not comparable with the paper\n\n"
+          f"trained from nothing on {_OBJECT}: {trained.number('control_steps'):,.0f} control steps, success "
+          f"{trained.number('success'):.2f}; longer trainings: docs/results.md")
     _print_next(run_dir, saved is not None)
     return 0
 
