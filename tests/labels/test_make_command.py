@@ -21,20 +21,24 @@ def labels_of(task) -> list[GraspLabel]:
     return [replace(label, object_id=task.model.name) for label in labels]
 
 
+class InPlace:
+    """A pool of no processes."""
+
+    def __init__(self, *arguments: object) -> None: ...
+
+    def __enter__(self) -> InPlace:
+        return self
+
+    def __exit__(self, *arguments: object) -> None: ...
+
+
 def test_the_command_writes_both_splits(
     tmp_path, monkeypatch: pytest.MonkeyPatch, capsys
 ) -> None:
     row = {"held": 1, "found_held": 0.5, "best_quarter_held": 1.0, "penetration_cm3": 0.5, "touching": 4.0,
            "contacts": 9.0, "diversity_deg": 10.0, "diversity_mm": 20.0, "cpu_s": 1.0}  # fmt: skip
 
-    class Here:
-        def __init__(self, *arguments: object) -> None: ...
-
-        def __enter__(self) -> Here:
-            return self
-
-        def __exit__(self, *arguments: object) -> None: ...
-
+    class Here(InPlace):
         def map(self, function, tasks):
             return [(labels_of(task), row) for task in tasks]
 
@@ -55,14 +59,7 @@ def test_a_stopped_run_goes_on(
 ) -> None:
     asked: list[str] = []
 
-    class Here:
-        def __init__(self, *arguments: object) -> None: ...
-
-        def __enter__(self) -> Here:
-            return self
-
-        def __exit__(self, *arguments: object) -> None: ...
-
+    class Here(InPlace):
         def map(self, function, tasks):
             for task in tasks:
                 asked.append(task.model.name)
