@@ -1,6 +1,6 @@
 """The typed configuration of an experiment, read from YAML with dotted overrides.
 
-Every number of the paper's tables of hyperparameters is a default here; `cfg/` names experiments.
+Its sections stand in `dgrasp.config_sections`; `cfg/` names experiments.
 """
 
 from __future__ import annotations
@@ -10,249 +10,24 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import yaml
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
+from pydantic import BaseModel, Field, ValidationError, model_validator
 
+from dgrasp.config_sections import (
+    CheckpointConfig,
+    EnvConfig,
+    EvalConfig,
+    LabelsConfig,
+    MotionConfig,
+    PhysicsConfig,
+    PoolConfig,
+    PpoConfig,
+    Section,
+)
 from dgrasp.config_values import apply_overrides, parse_yaml
 from dgrasp.errors import ConfigError
 
-Positive = Annotated[float, Field(gt=0)]
-NonNegative = Annotated[float, Field(ge=0)]
-Fraction = Annotated[float, Field(ge=0, le=1)]
-Count = Annotated[int, Field(ge=1)]
 
-
-class _Section(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, validate_default=True, strict=True)
-
-
-class LabelsConfig(_Section):
-    """Which grasp labels: a release's split by name, or a file; which objects of it.
-
-    objects: names, numbers, or the paper's sets, "unseen_1" to "unseen_6" and "seen_1" to "seen_6" (docs/labels.md).
-    per_epoch: how many of them, drawn anew, make an epoch of training; null takes all.
-    """
-
-    source: str = "dexycb"
-    split: Literal["train", "test"] = "train"
-    objects: list[str] = []
-    limit_per_object: Count | None = None
-    per_epoch: Count | None = None
-
-    @field_validator("objects", mode="before")
-    @classmethod
-    def _names(cls, value: Any) -> Any:
-        # YAML reads 004 as 4 and 010 as 8: what was meant cannot be told.
-        if isinstance(value, list) and any(isinstance(name, (int, float)) for name in value):
-            raise ValueError("expected names such as 004_sugar_box, or numbers in quotes: ['004']")
-        return value
-
-
-class PhysicsConfig(_Section):
-    """The simulated world (supplement, section B.1; ERRATA of the authors' code in docs/deviations.md).
-
-    preset: "faithful" is as near to RaiSim as the engine gets; "fast" gives some of that for speed (docs/physics.md).
-    test.py takes "faithful" whatever a run trained with, unless physics.preset is typed.
-    concave: how a release's concave objects collide: "mesh" as the authors' triangles (pybullet alone), "parts" as
-    convex parts cut from them; "auto" is what docs/physics.md found best for object and engine.
-    """
-
-    timestep: Positive = 0.00222
-    substeps: Count = 13
-    friction: NonNegative = 0.8
-    official_compat: bool = True
-    masses: Literal["official", "ycb"] = "official"
-    concave: Literal["auto", "mesh", "parts"] = "auto"
-    preset: Literal["faithful", "fast"] = "faithful"
-    hand_table_collision: bool = True
-    self_collision: bool = False
-
-
-class NoiseConfig(_Section):
-    """Uniform reset noise, half-widths: wrist position (x, y and z apart), wrist and finger angles."""
-
-    wrist_xy: NonNegative = 0.02
-    wrist_z: NonNegative = 0.01
-    wrist_angle: NonNegative = 0.05
-    finger_angle: NonNegative = 0.05
-
-
-class ActionConfig(_Section):
-    """Scale sigma of the residual action and the PD gains (root translation, then all rotations)."""
-
-    sigma_wrist_position: Positive = 0.001
-    sigma_wrist_rotation: Positive = 0.01
-    sigma_fingers: Positive = 0.015
-    kp_position: Positive = 50.0
-    kd_position: NonNegative = 0.1
-    kp_rotation: Positive = 50.0
-    kd_rotation: NonNegative = 0.2
-
-
-class RewardConfig(_Section):
-    """Weights of the reward terms (paper, section 3.2.2 and Table of weights; docs/deviations.md).
-
-    target_position, target_rotation: alpha_x per m and alpha_q per rad of the distance to the target (supplement,
-    equation of r_m and Table of weights); of the tasks motion and flat alone. Task motion has no other terms.
-    """
-
-    position: float = 2.0
-    pose: float = 0.1
-    contact: float = 1.0
-    impulse: float = 2.0
-    object_velocity: float = -1.0
-    object_angular_velocity: float = 0.0
-    wrist_linear_velocity: float = -0.5
-    wrist_angular_velocity: float = -0.5
-    tip_weight: Positive = 4.0
-    squared_weights: bool = True
-    position_floor: float = -10.0
-    impulse_per_mass: Positive = 5.0
-    hold: float = 0.0
-    target_position: float = -2.0
-    target_rotation: float = -0.25
-    clip: float | None = None
-
-
-class HoldConfig(_Section):
-    """The test's hold as a part of training episodes; first_step: null leaves it out, as in the paper.
-
-    The table goes at a step drawn from first_step to last_step, the wrist is held where it is, and the episode
-    ends when the object has dropped by `drop` (m). `env.reward.hold` is paid for every step until then; graded: less of
-    it the further the object has sunk, nothing at `drop`.
-    """
-
-    first_step: Count | None = None
-    last_step: Count = 65
-    drop: Positive = 0.05
-    graded: bool = False
-
-
-class EnvConfig(_Section):
-    """The task: episode, components that the paper ablates, reward.
-
-    task: "grasp"; or with a target for the object, a policy of the wrist while a frozen one grasps ("motion"), or one
-    policy of everything ("flat"): the paper's baselines "learned policy" and "Flat-RL" (docs/motion.md).
-    scaled_features: bring every feature to order 1 and clamp it. critic_features: the critic also sees how far
-    the episode is and whether the table is gone; the actor does not.
-    """
-
-    task: Literal["grasp", "motion", "flat"] = "grasp"
-    episode_steps: Count = 195
-    grasp_steps: Count = 60
-    features: Literal["phi", "full_state"] = "phi"
-    goal_space: bool = True
-    scaled_features: bool = False
-    critic_features: bool = False
-    wrist: Literal["guidance", "residual"] = "guidance"
-    hold: HoldConfig = HoldConfig()
-    noise: NoiseConfig = NoiseConfig()
-    action: ActionConfig = ActionConfig()
-    reward: RewardConfig = RewardConfig()
-
-
-SENSES = ("features", "goal_space", "scaled_features", "wrist", "action")
-"""The keys of `env` that a policy's input and output depend on."""
-
-
-class MotionConfig(_Section):
-    """Motion synthesis (paper, section 3.3; supplement, A.2): the wrist carries the object to a 6D target.
-
-    targets: where to: "easy" (the authors'), "ood", "circle", "pour" or a file (docs/motion.md); null tests the grasp
-    alone. per_label: how many targets each grasp is moved to; null takes one of a set, all of a file. steps: control
-    steps of the motion. beta_position, beta_rotation: the gain beta, reached after ramp_position and ramp_rotation
-    control steps in equal steps. stable_alone: leave out grasps that fail the stability test, as the paper does.
-    static_fingers: what the baseline "static grasp" holds, the fingers' pose or their last PD targets.
-
-    policy: of the tasks motion and flat, the checkpoint of the grasping policy that makes, or chooses, the grasps.
-    sigma_position, sigma_rotation: m and rad that an action of 1 moves the wrist's target in those tasks.
-    """
-
-    targets: str | None = None
-    per_label: Count | None = None
-    steps: Count = 300
-    beta_position: Fraction = 1.0
-    beta_rotation: Fraction = 1.0
-    ramp_position: Count = 1000
-    ramp_rotation: Count = 2000
-    stable_alone: bool = True
-    static_fingers: Literal["pose", "target"] = "pose"
-    policy: str | None = None
-    sigma_position: Positive = 0.01
-    sigma_rotation: Positive = 0.01
-
-
-class PpoConfig(_Section):
-    """PPO with the paper's hyperparameters (supplement, Table of PPO) and the authors' choices.
-
-    Training ends after `epochs`, or with the first epoch that ends after `max_minutes`. normalise_returns: the
-    critic learns returns of mean 0 and variance 1. separate_clipping: actor and critic have a gradient norm
-    each. advantages_per_minibatch: normalise them there and not over the epoch. output_gain: of the actor's
-    last layer at the start.
-    """
-
-    epochs: Count = 10000
-    max_minutes: Positive | None = None
-    gamma: Fraction = 0.996
-    lam: Fraction = 0.95
-    clip: Positive = 0.2
-    max_grad_norm: Positive = 0.5
-    value_coefficient: NonNegative = 0.5
-    entropy_coefficient: float = 0.0
-    learning_rate: Positive = 5e-4
-    adaptive_learning_rate: bool = True
-    desired_kl: Positive = 0.01
-    min_learning_rate: Positive = 1e-5
-    max_learning_rate: Positive = 1e-2
-    update_epochs: Count = 4
-    minibatches: Count = 4
-    shuffle: bool = True
-    clipped_value_loss: bool = True
-    normalise_returns: bool = False
-    separate_clipping: bool = False
-    advantages_per_minibatch: bool = False
-    output_gain: Positive = 2.0**0.5
-    hidden: list[Count] = [128, 128]
-    initial_std: Positive = 1.0
-    min_std: NonNegative = 0.2
-
-
-class PoolConfig(_Section):
-    """Where the environments run.
-
-    workers: null takes as many as there are cores. hang_s: seconds without a control step after which a
-    worker is taken to hang, and is replaced. For "ray" alone: address of the cluster (auto, HOST:PORT; null starts
-    one on this machine); patience: an actor that takes this many times as long as the others is left behind.
-    """
-
-    kind: Literal["process", "serial", "ray"] = "process"
-    workers: Count | None = None
-    hang_s: Positive = 120.0
-    address: str | None = None
-    patience: Annotated[float, Field(ge=1)] = 3.0
-
-
-class CheckpointConfig(_Section):
-    """Checkpoints: one every `every` epochs, of which the last `keep` stay."""
-
-    every: Count = 10
-    keep: Count = 5
-
-
-class EvalConfig(_Section):
-    """Periodic deterministic evaluation in training, the window of the stability test, and what a test measures.
-
-    interpenetration: measure it in a test. mano: the MANO file that the hand was made from, whose skin it is measured
-    on then, instead of the hand's part meshes or collision shapes.
-    """
-
-    every: Count = 25
-    window_s: Positive = 5.0
-    gif: bool = True
-    interpenetration: bool = True
-    mano: str | None = None
-
-
-class Config(_Section):
+class Config(Section):
     """One experiment.
 
     objects: the folder of added objects (`dgrasp object add`) that labels name; null looks at the data's objects/, then

@@ -9,7 +9,8 @@ from typing import Any
 
 from dgrasp.baselines import BASELINES, TRAINED_BASELINES, method_of
 from dgrasp.baselines.static_grasp import StaticGrasp
-from dgrasp.config import SENSES, Config, make_config, read_values
+from dgrasp.config import Config, make_config, read_values
+from dgrasp.config_sections import SENSES
 from dgrasp.config_values import apply_overrides
 from dgrasp.errors import ConfigError
 from dgrasp.eval.method import Method, PolicyMethod

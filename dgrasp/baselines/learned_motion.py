@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from dgrasp.config import Config, EnvConfig
+from dgrasp.config import Config
+from dgrasp.config_sections import EnvConfig
 from dgrasp.env.features import FeatureLayer
 from dgrasp.errors import ConfigError
 from dgrasp.eval.method import PolicyMethod

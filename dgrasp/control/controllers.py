@@ -11,7 +11,7 @@ from typing import Protocol
 
 import numpy as np
 
-from dgrasp.config import ActionConfig
+from dgrasp.config_sections import ActionConfig
 from dgrasp.env.features import goal_wrist_position_W
 from dgrasp.hand.skeleton import N_DOF
 from dgrasp.types import Array, GraspGoal, SceneState

@@ -6,7 +6,7 @@ from typing import Literal
 
 import numpy as np
 
-from dgrasp.config import ActionConfig, MotionConfig
+from dgrasp.config_sections import ActionConfig, MotionConfig
 from dgrasp.control.controllers import HOLD_KP_POSITION
 from dgrasp.hand.skeleton import N_DOF
 from dgrasp.types import Array, SceneState

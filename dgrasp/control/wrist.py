@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from dgrasp.config import EnvConfig, MotionConfig
+from dgrasp.config_sections import EnvConfig, MotionConfig
 from dgrasp.control.controllers import GRASP_CONTROLLERS, HOLD_KP_POSITION
 from dgrasp.control.motion import nearest_euler
 from dgrasp.hand.skeleton import N_WRIST_DOF

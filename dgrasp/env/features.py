@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dgrasp.config import EnvConfig
+from dgrasp.config_sections import EnvConfig
 from dgrasp.types import Array, GraspGoal, SceneState
 from raisim_like.rotations import euler_from_matrix, matrix_from_euler, rotate, rotate_back, rotation_vector
 

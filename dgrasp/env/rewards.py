@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from dgrasp.config import RewardConfig
+from dgrasp.config_sections import RewardConfig
 from dgrasp.env.features import Relations, target_turn_W
 from dgrasp.hand.skeleton import N_KEYPOINTS, TIPS
 from dgrasp.types import Array, GraspGoal, SceneState

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from dgrasp.config import NoiseConfig
+from dgrasp.config_sections import NoiseConfig
 from dgrasp.hand.free_skin import rest_pose
 from dgrasp.hand.mano_model import MIRROR_ANGLES
 from dgrasp.hand.model import HandModel

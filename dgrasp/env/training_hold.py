@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from dgrasp.config import EnvConfig
+from dgrasp.config_sections import EnvConfig
 from dgrasp.control.controllers import WristHold
 from dgrasp.hand.skeleton import N_DOF
 from dgrasp.types import Array, GraspGoal, SceneState

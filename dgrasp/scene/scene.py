@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from dgrasp.config import ActionConfig, PhysicsConfig
+from dgrasp.config_sections import ActionConfig, PhysicsConfig
 from dgrasp.hand.model import HandModel
 from dgrasp.hand.skeleton import N_DOF
 from dgrasp.objects.model import ObjectModel

@@ -10,7 +10,7 @@ from collections.abc import Iterable, Mapping, Sequence
 import numpy as np
 from PIL import Image
 
-from dgrasp.config import PhysicsConfig
+from dgrasp.config_sections import PhysicsConfig
 from dgrasp.hand.model import HandModel
 from dgrasp.labels.measure import Finding
 from dgrasp.objects.model import ObjectModel

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dgrasp.config import EnvConfig
+from dgrasp.config_sections import EnvConfig
 from dgrasp.env.features import (
     FEATURE_LAYERS,
     PHI,

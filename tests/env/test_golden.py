@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from dgrasp.config import ActionConfig, EnvConfig, RewardConfig
+from dgrasp.config_sections import ActionConfig, EnvConfig, RewardConfig
 from dgrasp.control.controllers import WristGuidance
 from dgrasp.env.features import FeatureLayer, relations
 from dgrasp.env.goal import make_goal

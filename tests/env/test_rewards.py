@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from dgrasp.config import RewardConfig
+from dgrasp.config_sections import RewardConfig
 from dgrasp.env.features import Relations
 from dgrasp.env.rewards import TERMS, Reward, keypoint_weights
 from dgrasp.env.state import state_views

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from dgrasp.config import EnvConfig, MotionConfig, RewardConfig, load_config
+from dgrasp.config import load_config
+from dgrasp.config_sections import EnvConfig, MotionConfig, RewardConfig
 from dgrasp.control.wrist import move_wrist
 from dgrasp.env.features import PSI, FeatureLayer, relations
 from dgrasp.env.rewards import Reward

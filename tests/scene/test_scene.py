@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from dgrasp.config import ActionConfig, PhysicsConfig
+from dgrasp.config_sections import ActionConfig, PhysicsConfig
 from dgrasp.hand.free_hand import URDF_PATH
 from dgrasp.hand.model import HandModel, load_hand
 from dgrasp.objects.free import free_object
