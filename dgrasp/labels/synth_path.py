@@ -14,9 +14,9 @@ from dgrasp.scene.scene import TABLE_TOP
 from dgrasp.types import Array, StartPose
 from raisim_like.rotations import matrix_from_euler, transform
 
-DRAWN_BACK = (0.10, 0.15)
-"""m between the wrist at the start and at the grasp."""
-START_CLEARANCE, PATH_OVERLAP = 0.03, 0.004
+DRAWN_BACK = (0.03, 0.08)
+"""m between the wrist at the start and at the grasp, as in the recorded labels of the paper (0.03 to 0.06 there)."""
+START_CLEARANCE, PATH_OVERLAP = 0.005, 0.004
 """m from the hand at the start to object and table, and how far the open hand may graze the object on its way."""
 _START_TURN, _DRAWS = 0.12, 16
 _OPENED = np.radians(20.0)
@@ -43,7 +43,7 @@ def free_starts(
     starts, done = T_WH.copy(), np.zeros(n, bool)
     for _ in range(_DRAWS):
         back = away + rng.normal(0.0, 0.25, (n, 3))
-        back[:, 2] += rng.uniform(0.0, 1.2, n)
+        back[:, 2] += rng.uniform(0.0, 0.8, n)
         back *= rng.uniform(*DRAWN_BACK, (n, 1)) / np.linalg.norm(back, axis=1, keepdims=True)
         start = T_WH.copy()
         start[:, :3, 3] += back
