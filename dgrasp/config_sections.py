@@ -175,13 +175,15 @@ class MotionConfig(Section):
 class PpoConfig(Section):
     """PPO with the paper's hyperparameters (supplement, Table of PPO) and the authors' choices.
 
-    Training ends after `epochs`, or with the first epoch that ends after `max_minutes`. normalise_returns: the
+    Training ends after `epochs`, with the last epoch that `max_steps` control steps of all environments together allow,
+    or with the first that ends after `max_minutes`; whichever comes first. normalise_returns: the
     critic learns returns of mean 0 and variance 1. separate_clipping: actor and critic have a gradient norm
     each. advantages_per_minibatch: normalise them there and not over the epoch. output_gain: of the actor's
     last layer at the start.
     """
 
     epochs: Count = 10000
+    max_steps: Count | None = None
     max_minutes: Positive | None = None
     gamma: Fraction = 0.996
     lam: Fraction = 0.95

@@ -44,9 +44,21 @@ class Run:
             return "running"
         if not self.rows or not saved(self.path):
             return "new"
-        limit = 60.0 * (self.config.ppo.max_minutes or float("inf"))
-        done = self.number("epoch") >= self.config.ppo.epochs or self.number("seconds") >= limit
-        return "finished" if done else "stopped"
+        out_of_time = self.number("seconds") >= 60.0 * (self.config.ppo.max_minutes or float("inf"))
+        return "finished" if self.complete or out_of_time else "stopped"
+
+    @property
+    def complete(self) -> bool:
+        """Whether all epochs are made that `ppo.epochs` and `ppo.max_steps` allow, whatever the time they took."""
+        return self.number("epoch") >= self.epochs
+
+    @property
+    def epochs(self) -> int:
+        """How many epochs `ppo.epochs` and `ppo.max_steps` allow."""
+        ppo, steps = self.config.ppo, self.number("control_steps")
+        if ppo.max_steps is None or not steps:
+            return ppo.epochs
+        return min(ppo.epochs, max(1, int(ppo.max_steps / (steps / self.number("epoch")))))
 
     @property
     def curve(self) -> list[tuple[int, float]]:
@@ -117,7 +129,7 @@ def _cost(run: Run) -> list[str]:
     last = f"{run.curve[-1][1]:.3f}" if run.curve else "-"
     best = "-" if run.best is None else f"{run.best:.3f}"
     return [
-        f"{run.number('epoch'):.0f}/{run.config.ppo.epochs}", f"{run.number('control_steps'):,.0f}",
+        f"{run.number('epoch'):.0f}/{run.epochs}", f"{run.number('control_steps'):,.0f}",
         f"{run.number('core_hours'):.2f}", last, best,
     ]  # fmt: skip
 

@@ -53,11 +53,12 @@ class Log:
         data_stamp: Mapping[str, Any],
         reward_terms: Sequence[str],
         steps_per_epoch: int,
+        last_epoch: int,
         resumed_epoch: int,
         console: Console | None = None,
     ) -> None:
         self._run_dir, self._csv = run_dir, run_dir / CSV_NAME
-        self._steps_per_epoch, self._epochs, self._seed = steps_per_epoch, config.ppo.epochs, config.seed
+        self._steps_per_epoch, self._epochs, self._seed = steps_per_epoch, last_epoch, config.seed
         self._evaluated = EVALUATED[config.env.task]
         tags = [RETURN, TERMINATED, TRUNCATED, *(f"reward/{term}" for term in reward_terms)]
         tags += [*(f"ppo/{name}" for name in STATISTICS), STEPS_PER_SECOND, PHYSICS_SHARE, UPDATE_SHARE, LOST_WORKERS]

@@ -105,12 +105,12 @@ class Runner:
     def _learn(self, log: Log) -> None:
         for notice in self._notices:
             log.message(notice)
-        last_epoch = self.config.ppo.epochs
+        last_epoch = self.last_epoch
         deadline = time.monotonic() + 60.0 * (self.config.ppo.max_minutes or float("inf"))
         if self.epoch == 0:
             self._complete(0, {}, log)
         elif self.epoch >= last_epoch:
-            log.message(f"epoch {self.epoch} of {last_epoch} is reached; raise ppo.epochs to train on")
+            log.message(f"epoch {self.epoch} of {last_epoch} is reached; raise ppo.epochs or ppo.max_steps to train on")
         for epoch in range(self.epoch + 1, last_epoch + 1):
             generator = epoch_generator(self.config.seed, epoch)
             started = time.monotonic()
@@ -173,6 +173,13 @@ class Runner:
         taking_part = min(self.env.num_envs, self.config.labels.per_epoch or self.env.num_envs)
         return self.config.learned_steps * taking_part
 
+    @property
+    def last_epoch(self) -> int:
+        """The last one that `ppo.epochs` and `ppo.max_steps` allow; the first, at least."""
+        ppo = self.config.ppo
+        allowed = ppo.epochs if ppo.max_steps is None else max(1, ppo.max_steps // self._steps_per_epoch)
+        return min(ppo.epochs, allowed)
+
     def _open_log(self) -> Log:
         return Log(
             self.run_dir,
@@ -180,6 +187,7 @@ class Runner:
             self.data_stamp,
             self.env.reward_terms,
             self._steps_per_epoch,
+            self.last_epoch,
             self.epoch,
         )
 

@@ -113,7 +113,9 @@ class Tables:
         folder = self.run_dir(run)
         if not (folder / "config.yaml").is_file():
             return "train"
-        return "resume" if read_run(folder).state in ("stopped", "new") else None
+        made = read_run(folder)
+        # One that ended with its share of an earlier budget goes on.
+        return "resume" if made.state != "running" and not made.complete else None
 
     def train_missing(self, plans: Sequence[Plan], budget_min: float) -> None:
         """Train what the tables lack in so many minutes, each run with an equal share of what is left of them."""
@@ -168,9 +170,9 @@ class Tables:
         read = read_run(self.run_dir(run))
         paper, here = _flat(Config()), _flat(read.config)
         changed = [f"{key}={here[key]}" for key in here
-                   if key.startswith(_OF_TRAINING) and here[key] != paper[key] and key != "ppo.max_minutes"]
+                   if key.startswith(_OF_TRAINING) and here[key] != paper[key] and not key.startswith("ppo.max_")]
         made = f"{read.number('control_steps'):,.0f} control steps, {read.number('core_hours'):.2f} core-hours"
-        end = "" if read.number("epoch") >= read.config.ppo.epochs else f" of {read.config.ppo.epochs}"
+        end = "" if read.complete else f" of {read.epochs}"
         return [f"{run.key}: {read.number('epoch'):.0f}{end} epochs, {made}"
                 + (f"; differs from the paper's training in {', '.join(changed)}" if changed else "")]
 

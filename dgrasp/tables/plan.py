@@ -1,4 +1,4 @@
-"""What each of the paper's tables takes: which runs have to be trained, what is evaluated, and the paper's numbers."""
+"""What a table takes: which runs have to be trained, what is evaluated, and the paper's numbers where it has them."""
 
 from __future__ import annotations
 
@@ -22,6 +22,30 @@ _ABLATIONS = {
     "no_wrist_guidance": ("w/o WristGuidance", ("env.wrist=residual",)),
     "ours": ("Ours", ()),
 }
+
+RECIPE_OBJECTS = ("004_sugar_box", "021_bleach_cleanser")
+RECIPE_METRICS = ("success", "label_distance_mm", "label_angles_deg")
+_FAST = "cfg/fast.yaml"
+_INGREDIENTS = {
+    "fast": ("cfg/fast.yaml", _FAST, ()),
+    "no_hold": ("w/o hold phase", _FAST, ("env.hold.first_step=null", "env.reward.hold=0.0")),
+    "unscaled": ("w/o scaled features", _FAST, ("env.scaled_features=false",)),
+    "blind_critic": ("w/o critic's features", _FAST, ("env.critic_features=false",)),
+    "raw_returns": ("w/o normalised returns", _FAST, ("ppo.normalise_returns=false",)),
+    "clipped_value": ("clipped value loss", _FAST, ("ppo.clipped_value_loss=true",)),
+    "clipped_together": ("gradients clipped together", _FAST, ("ppo.separate_clipping=false",)),
+    "paper_gamma": ("gamma 0.996", _FAST, ("ppo.gamma=0.996",)),
+    "paper_update": ("the paper's updates", _FAST, (
+        "ppo.desired_kl=0.01", "ppo.update_epochs=4", "ppo.minibatches=4", "ppo.advantages_per_minibatch=false",
+        "ppo.output_gain=1.4142135623730951")),
+    "paper_network": ("128 x 128", _FAST, ("ppo.hidden=[128, 128]",)),
+    "faithful": ("faithful physics", _FAST, ("physics.preset=faithful",)),
+    "graded": ("with graded hold", _FAST, ("env.hold.graded=true",)),
+    "longer": ("with episodes of 160 steps", _FAST, ("env.episode_steps=160",)),
+    "graded_longer": ("with both", _FAST, ("env.hold.graded=true", "env.episode_steps=160")),
+    "paper": ("cfg/dexycb.yaml", "cfg/dexycb.yaml", ()),
+}  # fmt: skip
+"""One row each: name, config, and what is taken away from it or added."""
 
 
 @dataclass(frozen=True)
@@ -59,12 +83,17 @@ class Line:
 
 @dataclass(frozen=True)
 class Plan:
-    """A table of the paper."""
+    """A table."""
 
     name: str
     title: str
     metrics: tuple[str, ...]
     lines: tuple[Line, ...]
+
+    @property
+    def of_paper(self) -> bool:
+        """Whether the paper has this table."""
+        return any(line.paper for line in self.lines)
 
 
 ALL_OBJECTS = Trained("all_objects")
@@ -150,10 +179,21 @@ def _scope() -> Plan:
     return Plan("scope", "One policy for all objects, or one each", GRASP_METRICS, tuple(lines))
 
 
-_PLANS = {"grasp": _grasp, "motion": _motion, "ablation": _ablation, "unseen": _unseen, "scope": _scope}
+def _recipe() -> Plan:
+    objects = f"labels.objects=[{', '.join(RECIPE_OBJECTS)}]"
+    lines = []
+    for key, (name, cfg, overrides) in _INGREDIENTS.items():
+        # Every change of features comes to a test with the policy.
+        trial = Trial("policy", Trained(f"recipe_{key}", (objects, *overrides), cfg), (objects,))
+        lines.append(Line(f"{len(RECIPE_OBJECTS)} objects, train", name, (trial,), {}))
+    return Plan("recipe", "What the ingredients of cfg/fast.yaml are worth", RECIPE_METRICS, tuple(lines))
+
+
+_PLANS = {"grasp": _grasp, "motion": _motion, "ablation": _ablation, "unseen": _unseen, "scope": _scope,
+          "recipe": _recipe}  # fmt: skip
 NAMES = tuple(_PLANS)
 
 
 def plans(name: str) -> list[Plan]:
-    """The tables that a name of `NAMES`, or "all", means."""
-    return [make() for key, make in _PLANS.items() if name in (key, "all")]
+    """The tables that a name of `NAMES`, or "all" (those of the paper), means."""
+    return [make() for key, make in _PLANS.items() if name == key or (name == "all" and key != "recipe")]

@@ -18,6 +18,7 @@ from dgrasp.tables.plan import Plan
 
 _TITLES = {"success": ("success", "{:.2f}"), "sim_dist_mm_per_step": ("SimDist mm/step", "{:.1f}"),
            "interpenetration_shell_cm3": ("interpen. cm3", "{:.2f}"), "contact_ratio": ("contact ratio", "{:.2f}"),
+           "label_distance_mm": ("to label mm", "{:.1f}"), "label_angles_deg": ("to label deg", "{:.1f}"),
            "mpe_m": ("MPE m", "{:.3f}"), "geodesic_rad": ("geodesic rad", "{:.2f}")}  # fmt: skip
 NOT_THE_PAPERS = "* hand or labels are not the paper's: not comparable"
 
@@ -35,7 +36,9 @@ def cells_of(plan: Plan, cells: Cells) -> list[str]:
         difference = "" if ours is None or paper is None else f"{number.format(ours - paper):>5}"
         if difference.strip() and not difference.strip().startswith("-"):
             difference = f"+{difference.strip()}"
-        row += [shown, "" if paper is None else number.format(paper), difference.strip()]
+        row.append(shown)
+        if plan.of_paper:
+            row += ["" if paper is None else number.format(paper), difference.strip()]
     return row
 
 
@@ -43,17 +46,18 @@ def header_of(plan: Plan) -> list[str]:
     """The titles of `cells_of`."""
     header = ["labels", "method", "n"]
     for metric in plan.metrics:
-        header += [_TITLES[metric][0], "paper", "diff."]
+        header += [_TITLES[metric][0], *(["paper", "diff."] if plan.of_paper else [])]
     return header
 
 
-def remarks(rows: Sequence[Cells]) -> list[str]:
+def remarks(plan: Plan, rows: Sequence[Cells]) -> list[str]:
     """What stands under a table: marks, trainings, and how to make what is missing."""
     lines = [NOT_THE_PAPERS] if any(cells.values and not cells.comparable for cells in rows) else []
     for cells in rows:
-        for metric, (name, number) in _TITLES.items():
+        for metric in plan.metrics:
+            name, number = _TITLES[metric]
             values = {seed: found[metric] for seed, found in cells.seeds.items() if metric in found}
-            if values and metric in cells.line.paper:
+            if values:
                 each = ", ".join(f"{seed}: {number.format(value)}" for seed, value in values.items())
                 lines.append(f"{cells.line.group}, {cells.line.name}, {name} by seed: {each}")
     lines += dict.fromkeys(note for cells in rows for note in cells.notes)
@@ -75,7 +79,7 @@ def show(plan: Plan, rows: Sequence[Cells], console: Console | None = None) -> N
     for cells in rows:
         table.add_row(*cells_of(plan, cells))
     console.print(table)
-    for line in remarks(rows):
+    for line in remarks(plan, rows):
         console.print(line, markup=False, highlight=False, soft_wrap=True)
 
 
@@ -84,7 +88,7 @@ def write(plan: Plan, rows: Sequence[Cells], folder: Path) -> None:
     header = header_of(plan)
     lines = [f"## {plan.title}", "", f"| {' | '.join(header)} |", f"|{'---|' * 2}{'---:|' * (len(header) - 2)}"]
     lines += [f"| {' | '.join(cells_of(plan, cells))} |" for cells in rows]
-    lines += ["", *(f"- {line.strip()}" for line in remarks(rows))]
+    lines += ["", *(f"- {line.strip()}" for line in remarks(plan, rows))]
     write_atomic(folder / f"{plan.name}.md", "\n".join(lines) + "\n")
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -16,6 +17,7 @@ from dgrasp.cli import main, run_command
 from dgrasp.paths import shipped_root
 from dgrasp.rl import checkpoint
 from dgrasp.rl.lock import is_running, only_run
+from dgrasp.runs import read_run
 from tests.cli.folder import make_folder
 
 SHORT = ["env.episode_steps=6", "env.grasp_steps=3", "physics.substeps=1", "ppo.minibatches=1", "ppo.update_epochs=1",
@@ -120,6 +122,9 @@ def test_runs_are_listed_and_compared(tmp_path: Path, capsys: pytest.CaptureFixt
         (run / "config.yaml").write_text(f"seed: {seed}\nppo: {{epochs: 20}}\n")
         (run / "data.json").write_text('{"kind": "free", "split": "train"}')
         (run / "progress.csv").write_text(header + rows)
+    for name, limits in (("steps", "max_steps: 1099"), ("time", "max_minutes: 0.5")):
+        shutil.copytree(tmp_path / "b", tmp_path / name)
+        (tmp_path / name / "config.yaml").write_text(f"ppo: {{epochs: 20, {limits}}}\n")
     (tmp_path / "new").mkdir()
     (tmp_path / "new" / "config.yaml").write_text("engine: mujoco\n")
     assert main(["runs", str(tmp_path)]) == 0
@@ -127,6 +132,10 @@ def test_runs_are_listed_and_compared(tmp_path: Path, capsys: pytest.CaptureFixt
     assert lines[1] == ["a", "finished", "free", "train", "pybullet", "all", "20/20", "2,000", "1.00", "0.300", "0.400"]
     assert lines[2] == ["b", "stopped", "free", "train", "pybullet", "all", "10/20", "1,000", "0.25", "0.600", "0.600"]
     assert lines[3] == ["new", "new", "?", "mujoco", "all", "0/10000", "0", "0.00", "-", "-"]
+    assert lines[4][:2] == ["steps", "finished"] and lines[4][6] == "10/10"
+    assert lines[5][:2] == ["time", "finished"] and lines[5][6] == "10/20"
+    # The time was a budget's share, and what it left undone can go on.
+    assert read_run(tmp_path / "steps").complete and not read_run(tmp_path / "time").complete
     assert main(["runs", str(tmp_path / "a"), str(tmp_path / "b")]) == 0
     out = capsys.readouterr().out
     lines = [line.split() for line in out.splitlines() if line.strip()]

@@ -107,6 +107,18 @@ def test_resume_of_a_finished_run_changes_nothing(tmp_path: Path, capsys: pytest
     assert "raise ppo.epochs" in capsys.readouterr().err
 
 
+def test_control_steps_are_limited(tmp_path: Path) -> None:
+    # 10 steps an epoch in each of 8 environments.
+    config = toy_config(epochs=9, max_steps=3 * 80 + 79)
+    _run(tmp_path / "a", config)
+    assert _last(tmp_path / "a").epoch == 3
+    assert _rows(tmp_path / "a")[-1]["control_steps"] == "240"
+    _run(tmp_path / "a", toy_config(epochs=9, max_steps=4 * 80), resume=True)
+    assert _last(tmp_path / "a").epoch == 4
+    _run(tmp_path / "b", toy_config(epochs=9, max_steps=1))
+    assert _last(tmp_path / "b").epoch == 1
+
+
 def test_resume_tells_what_changed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     _run(tmp_path, toy_config(epochs=1))
     Runner(ToyEnv(), toy_config(epochs=2, gamma=0.5), tmp_path, {"hand": "other"}, None, True).learn()
