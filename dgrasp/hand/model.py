@@ -24,6 +24,9 @@ class HandModel:
 
     offsets: (16, 3) origin of each part in its parent part's frame. tips: (5, 3) fingertips in the distal
     parts' frames. limits: (51, 2). Parts move with the links `part_links` (16,) of the URDF.
+
+    carried_mass: kg whose weight an arm is taken to carry, which is nothing that the joints model: all of the hand. 0
+    for the authors' hand, whose palm has its mass on the first slider and hardly pulls the others down.
     """
 
     id: str
@@ -32,6 +35,7 @@ class HandModel:
     tips: Array
     limits: Array
     part_links: Array
+    carried_mass: float = 0.0
 
     def forward(self, gc: Array, R_WH0: Array, wrist_start_W: Array) -> tuple[Array, Array]:
         """Wrist rotations (N, 3, 3) and key points (N, 21, 3), world, of coordinates gc (N, 51).
@@ -91,4 +95,6 @@ def load_hand(path: Path, hand_id: str) -> HandModel:
                 f"found {len(fixed)}"
             )
         tips.append(fixed[0][:3, 3])
-    return HandModel(hand_id, urdf, offsets, np.array(tips), urdf.joint_limits, part_links)
+    masses = [link.mass for link in urdf.links]
+    carried = sum(masses) if masses[part_links[0]] > masses[0] else 0.0
+    return HandModel(hand_id, urdf, offsets, np.array(tips), urdf.joint_limits, part_links, carried)

@@ -16,10 +16,11 @@ from raisim_like.rotations import matrix_from_euler, transform
 
 DRAWN_BACK = (0.03, 0.08)
 """m between the wrist at the start and at the grasp, as in the recorded labels of the paper (0.03 to 0.06 there)."""
-START_CLEARANCE, PATH_OVERLAP = 0.005, 0.004
-"""m from the hand at the start to object and table, and how far the open hand may graze the object on its way."""
-_START_TURN, _DRAWS = 0.12, 16
-_OPENED = np.radians(20.0)
+START_CLEARANCE, PATH_CLEARANCE = 0.005, 0.0
+"""m between the hand and object or table at the start, and on the way."""
+OPENED_DEG = (15.0, 25.0, 35.0, 45.0)
+"""By how much all flexions may be undone at the start; the least that lets the hand pass is taken."""
+_START_TURN, _DRAWS = 0.12, 8
 _FLEXIONS = np.array([not name.endswith(("spread", "twist", "lift")) for name in MOTIONS])
 
 
@@ -29,36 +30,36 @@ def free_starts(
 ) -> tuple[list[StartPose], Array]:
     """A start per grasp, and (N,) whether it and the straight way from it are free.
 
-    rest, T_WO (N, 4, 4): the object before and at the grasp. All flexions are undone by 20 degrees.
+    rest, T_WO (N, 4, 4): the object before and at the grasp. The way is that of a hand which neither turns nor closes,
+    as guidance of the wrist's position alone moves it: on another way fingers would hang on the object's edges.
     """
     n = len(grasps)
-    if n == 0:
-        return [], np.zeros(0, bool)
-    pose = hand.clipped(hand.pose(grasps.motions - tensor(_OPENED * _FLEXIONS)))
     T_WH = T_WO @ transform(grasps.R.numpy().astype(float), grasps.t.numpy().astype(float))
     # Away from what is held: from the middle of the fingers' tips to the wrist.
     tips = hand.tips(hand.forward(grasps.R, grasps.t, grasps.pose(hand))).mean(1)
     away = np.matmul(T_WO[:, :3, :3], (grasps.t - tips).numpy()[..., None])[..., 0]
     away /= np.linalg.norm(away, axis=1, keepdims=True)
-    starts, done = T_WH.copy(), np.zeros(n, bool)
-    for _ in range(_DRAWS):
-        back = away + rng.normal(0.0, 0.25, (n, 3))
-        back[:, 2] += rng.uniform(0.0, 0.8, n)
-        back *= rng.uniform(*DRAWN_BACK, (n, 1)) / np.linalg.norm(back, axis=1, keepdims=True)
-        start = T_WH.copy()
-        start[:, :3, 3] += back
-        start[:, :3, :3] = start[:, :3, :3] @ matrix_from_euler(rng.uniform(-_START_TURN, _START_TURN, (n, 3)))
-        free = clearance(hand, setting, rest, start, pose) > START_CLEARANCE
-        for share in (0.75, 0.5, 0.25, 0.0):
-            way = T_WH.copy()
-            way[:, :3, 3] += share * back
-            free &= clearance(hand, setting, rest, way, pose) > -PATH_OVERLAP
-        starts[free & ~done] = start[free & ~done]
-        done |= free
-    opened = pose.numpy().astype(float)
-    opened = np.clip(opened, *hand.model.limits[6:].T)
+    starts, poses, done = T_WH.copy(), np.zeros((n, 45)), np.zeros(n, bool)
+    for angle in np.radians(OPENED_DEG):
+        pose = hand.clipped(hand.pose(grasps.motions - tensor(angle * _FLEXIONS)))
+        for _ in range(_DRAWS):
+            back = away + rng.normal(0.0, 0.25, (n, 3))
+            back[:, 2] += rng.uniform(0.0, 0.8, n)
+            back *= rng.uniform(*DRAWN_BACK, (n, 1)) / np.linalg.norm(back, axis=1, keepdims=True)
+            start = T_WH.copy()
+            start[:, :3, 3] += back
+            start[:, :3, :3] = start[:, :3, :3] @ matrix_from_euler(rng.uniform(-_START_TURN, _START_TURN, (n, 3)))
+            free = ~done & (clearance(hand, setting, rest, start, pose) > START_CLEARANCE)
+            for share in (0.25, 0.5, 0.75, 1.0):
+                rows = np.flatnonzero(free)
+                way = start[rows]
+                way[:, :3, 3] -= share * back[rows]
+                free[rows] = clearance(hand, setting, rest[rows], way, pose[rows]) > PATH_CLEARANCE
+            starts[free], poses[free] = start[free], pose.numpy()[free]
+            done |= free
+    poses = np.clip(poses, *hand.model.limits[6:].T)
     starts[:, :3, :3] = orthonormal(starts[:, :3, :3])
-    return [StartPose(starts[i], rest[i], opened[i]) for i in range(n)], done
+    return [StartPose(starts[i], rest[i], poses[i]) for i in range(n)], done
 
 
 def clearance(hand: TorchHand, setting: Setting, T_WO: Array, T_WH: Array, pose: Tensor) -> Array:

@@ -12,7 +12,7 @@ from dgrasp.geometry.intersection import Body
 from dgrasp.hand.motions import MOTIONS
 from dgrasp.hand.skeleton import N_PARTS, PARTS
 from dgrasp.labels.free_rest import PLACE_XY, place_at_rest
-from dgrasp.labels.synth_energy import LOWEST_THUMB_SIDE, Grasps
+from dgrasp.labels.synth_energy import Grasps, unnatural
 from dgrasp.labels.synth_torch import ObjectField, TorchHand, tensor
 from dgrasp.objects.free import shape_bounds
 from dgrasp.objects.model import ObjectModel
@@ -95,8 +95,8 @@ def propose(
         centers = hand.forward(grasps.R, grasps.t, hand.pose(grasps.motions)).centers
         depth = torch.relu(hand.radii - setting.field.distance(centers)).sum(1)
         sunk = torch.relu(hand.radii - grasps.over[:, None] - (centers @ grasps.up[..., None])[..., 0]).sum(1)
-    tilt = thumb_side * (R_OH[:, :, 2] * up).sum(axis=1)
-    cost = depth.numpy() + 2.0 * sunk.numpy() + 1.0 * np.maximum(LOWEST_THUMB_SIDE - tilt, 0.0)
+        turned = unnatural(hand, grasps.R, grasps.up, thumb_side).sum(1)
+    cost = (depth + 2.0 * sunk + turned).numpy()
     best = cost.reshape(-1, _CANDIDATES).argmin(axis=1) + np.arange(len(T_WO)) * _CANDIDATES
     chosen = grasps.take(torch.as_tensor(best))
     chosen.wanted[:] = torch.as_tensor(_wanted(rng, len(T_WO)))

@@ -29,6 +29,7 @@ from dgrasp.labels.synth_energy import (
     optimise,
     overlaps,
     residual_wrench,
+    unnatural,
 )
 from dgrasp.labels.synth_path import free_starts, orthonormal
 from dgrasp.labels.synth_start import LIFT, Setting, propose, rest_poses
@@ -42,6 +43,8 @@ MAX_DEPTH = 0.006
 """m. No sphere of the hand is deeper in the object."""
 MAX_SELF_OVERLAP = 0.005
 """m between two fingers."""
+MAX_TURNED = 0.15
+"""Beyond the wrist's natural range (`synth_energy.unnatural`)."""
 TOUCHING = 0.001
 """m. A pad this close to the object touches it."""
 HOLDING_SHARE = 0.3
@@ -152,9 +155,9 @@ class Synthesiser:
         depth = -distance.amin(1)
         fingers = touching[:, 1:13].reshape(-1, 4, 3).any(2).sum(1)
         thumb = touching[:, 13:].any(1)
-        tilt = self.thumb_side * (grasps.R[:, :, 2] * grasps.up).sum(1)
+        turned = unnatural(hand, grasps.R, grasps.up, self.thumb_side).amax(1)
         sound = (
-            (depth < MAX_DEPTH) & (height.amin(1) > 0.0) & thumb & (fingers >= 2) & (tilt > -0.5)
+            (depth < MAX_DEPTH) & (height.amin(1) > 0.0) & thumb & (fingers >= 2) & (turned < MAX_TURNED)
             & (overlaps(hand, posed.centers).amax((1, 2)) < MAX_SELF_OVERLAP)
         )  # fmt: skip
         quality = -(force.norm(dim=1) + 0.5 * torque.norm(dim=1)) + 0.05 * touching.sum(1)

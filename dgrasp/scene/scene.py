@@ -27,8 +27,8 @@ class Scene:
     """One world with a hand, an object and a table.
 
     The hand hangs on a fixed base at the initial wrist frame H0, so its first six coordinates are relative
-    to H0. The hand has weight, as in the authors' simulation: a soft wrist sags under it, and the policy
-    learns to hold against it.
+    to H0. Its weight is carried by a feed-forward on the wrist's position, as if by an arm: at 50 N/m it would
+    hang 7 cm below its goal. The authors' hand weighs little there, as its URDF is made, and is left to the policy.
     """
 
     def __init__(self, hand: HandModel, model: ObjectModel, physics: PhysicsConfig, engine: str) -> None:
@@ -75,13 +75,15 @@ class Scene:
         self.object.set_state(T_WO[:3, 3], quaternion_from_matrix(T_WO[:3, :3]))
 
     def set_gains(self, action: ActionConfig, kp_position: float, carried_mass: float) -> None:
-        """PD gains, and an upward feed-forward on the wrist of `carried_mass` (kg) times 10 m/s^2."""
+        """PD gains, and an upward feed-forward on the wrist: `carried_mass` (kg) times 10 m/s^2, the hand's weight."""
         kp = np.full(N_DOF, action.kp_rotation)
         kd = np.full(N_DOF, action.kd_rotation)
         kp[:3], kd[:3] = kp_position, action.kd_position
         self.hand.set_pd_gains(kp, kd)
         force = np.zeros(N_DOF)
-        force[:3] = self.R_WH0.T @ np.array([0.0, 0.0, CARRY_ACCELERATION * carried_mass])
+        lift = -self.world.gravity * self.hand_model.carried_mass
+        lift[2] += CARRY_ACCELERATION * carried_mass
+        force[:3] = self.R_WH0.T @ lift
         self.hand.set_generalized_force(force)
 
     def set_target(self, target: Array) -> None:
