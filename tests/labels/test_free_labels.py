@@ -7,6 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from dgrasp.config import make_config
+from dgrasp.env.grasp_env import GraspEnv
 from dgrasp.hand.free_hand import URDF_PATH
 from dgrasp.hand.free_skin import HAND_NAME
 from dgrasp.hand.model import HandModel, load_hand
@@ -14,8 +16,8 @@ from dgrasp.labels.distance import HandSpheres
 from dgrasp.labels.free_rest import lowest, place_at_rest
 from dgrasp.labels.making import split
 from dgrasp.labels.native import read_native_with_meta
-from dgrasp.labels.synth_path import START_CLEARANCE
-from dgrasp.labels.synthesis import MAX_DEPTH
+from dgrasp.labels.synth_path import DRAWN_BACK, START_CLEARANCE
+from dgrasp.labels.synthesis import MAX_DEPTH, MAX_TURNED
 from dgrasp.objects.catalogue import CATALOGUE
 from dgrasp.objects.free import free_object
 from dgrasp.paths import package_file
@@ -160,8 +162,35 @@ def test_hand_object_and_table(name: str, shipped: list[GraspLabel], hand: HandM
     assert hand_bottom(hand, spheres, start_WH, start_pose).min() > TABLE_TOP + START_CLEARANCE
     clear = part_distances(hand, spheres, model.shapes, start_WH, start_pose, T_WO_rest)
     assert clear.min() > START_CLEARANCE
-    drawn_back = np.linalg.norm(start_WH[:, :3, 3] - T_WH[:, :3, 3], axis=1)
-    assert drawn_back.min() > 0.0999 and drawn_back.max() < 0.1501
+    back = start_WH[:, :3, 3] - T_WH[:, :3, 3]
+    drawn_back = np.linalg.norm(back, axis=1)
+    assert drawn_back.min() > DRAWN_BACK[0] - 1e-4 and drawn_back.max() < DRAWN_BACK[1] + 1e-4
+    # A hand that neither turns nor closes comes to the label's place without touching a thing.
+    for share in (0.25, 0.5, 0.75, 1.0):
+        way = start_WH.copy()
+        way[:, :3, 3] -= share * back
+        assert part_distances(hand, spheres, model.shapes, way, start_pose, T_WO_rest).min() > -5e-4
+        assert hand_bottom(hand, spheres, way, start_pose).min() > TABLE_TOP
+    # As an arm can turn it: the thumb's side not down, the fingers not up.
+    knuckles = hand.offsets[[1, 4, 7, 10]].mean(axis=0)
+    assert T_WH[:, 2, 2].min() > -MAX_TURNED
+    assert (T_WH[:, 2, :3] @ knuckles).max() < MAX_TURNED * np.linalg.norm(knuckles)
+
+
+def test_a_hand_that_does_nothing_is_guided_to_the_grasp(hand: HandModel, shipped: list[GraspLabel]) -> None:
+    """So that training can begin: closing the fingers is all that is left to learn."""
+    names = ("004_sugar_box", "021_bleach_cleanser", "037_scissors")
+    labels = [label for name in names for label in of_object(shipped, name)[:3]]
+    config = make_config({"engine": "pybullet"}, "test")
+    env = GraspEnv(labels, hand, {name: free_object(name, "official", True) for name in names}, config)
+    env.reset(mode="test")
+    for _ in range(40):
+        env.step(np.zeros((len(labels), 51)))
+    goal = np.array([np.linalg.inv(label.T_WO) @ label.T_WH for label in labels])[:, :3, 3]
+    wrist = np.einsum("nji,nj->ni", env.s.R_WO, env.s.joints_W[:, 0] - env.s.object_pos_W)
+    apart = np.linalg.norm(wrist - goal, axis=1)
+    assert np.median(apart) < 0.01 and apart.max() < 0.03
+    env.close()
 
 
 def test_some_grasps_hold_and_some_do_not() -> None:

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from scipy.spatial.transform import Rotation
 
 from dgrasp.cli import run_command
 from dgrasp.config import make_config
@@ -22,7 +23,7 @@ from dgrasp.hand.store import open_hand
 from dgrasp.labels import synthesis
 from dgrasp.labels.distance import HandSpheres, part_poses
 from dgrasp.labels.surfaces import Surfaces
-from dgrasp.labels.synth_energy import Grasps, energies, let_yield, optimise, residual_wrench
+from dgrasp.labels.synth_energy import Grasps, energies, let_yield, optimise, residual_wrench, unnatural
 from dgrasp.labels.synth_start import Setting, propose
 from dgrasp.labels.synth_torch import ObjectField, TorchHand, tensor
 from dgrasp.labels.synthesis import Synthesiser, gt_pd_holds, order_of_both
@@ -209,6 +210,19 @@ def test_terms_of_a_hand_that_touches_nothing(hand: TorchHand, setting: Setting)
     assert float(terms["contact"]) > 100.0
     sunk = energies(hand, setting.field, one_hand(hand, -0.1), torch.zeros(1, N_PARTS), torch.zeros(3))
     assert float(sunk["table"]) > 1.0
+
+
+def test_wrists_that_no_arm_turns_like_that_cost(hand: TorchHand) -> None:
+    """Palm down, thumb to the side; then the thumb down, and the fingers up, by 30 degrees each."""
+    palm_down = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
+    turns = Rotation.from_euler("xyz", [[0, 0, 0], [30, 0, 0], [-30, 0, 0], [0, 30, 0], [0, -30, 0]], degrees=True)
+    R, up = tensor(turns.as_matrix() @ palm_down), tensor(np.tile([0.0, 0.0, 1.0], (5, 1)))
+    side, pointing = unnatural(hand, R, up, 1.0).numpy().T
+    assert side == pytest.approx([0.0, 0.5, 0.0, 0.0, 0.0], abs=0.02)
+    # The fingers point along -x.
+    assert pointing == pytest.approx([0.0, 0.0, 0.0, 0.5, 0.0], abs=0.06)
+    # Of a left hand, the thumb is at the other end of z.
+    assert unnatural(hand, R, up, -1.0).numpy()[:, 0] == pytest.approx([0.0, 0.0, 0.5, 0.0, 0.0], abs=0.02)
 
 
 def test_the_descent_brings_the_hand_to_the_object(hand: TorchHand, setting: Setting) -> None:
