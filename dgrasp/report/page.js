@@ -164,7 +164,8 @@
     button.addEventListener("pointerleave", () => { state.hovered = null; drawThumb(button); });
   });
   new ResizeObserver(() => { state.dirty = true; thumbs.forEach(drawThumb); }).observe(document.body);
-  new ResizeObserver(() => { state.dirty = true; }).observe(stage);
+  // At once: by the next tick the old picture would have been seen stretched.
+  new ResizeObserver(show).observe(stage);
   matchMedia("(prefers-color-scheme: dark)").addEventListener("change", readColors);
 
   function follow(hash) {
