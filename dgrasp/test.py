@@ -196,6 +196,8 @@ def write_gif(
 ) -> None:
     """A GIF of some episodes side by side, spread over the labels."""
     there = [record for record in records if len(record.gc)]
+    if not there:
+        raise DataError(f"{path}: no episode lasted a single step, so that there is nothing to show in a GIF")
     chosen = [there[i * len(there) // min(count, len(there))] for i in range(min(count, len(there)))]
     clips = [list(record_pictures(r, meshes[r.label.object_id], every=5, size=(320, 240))) for r in chosen]
     checkpoint.atomic_write_bytes(path, gif_bytes(tile(clips, columns=3), 5 * chosen[0].dt))

@@ -95,6 +95,5 @@ def load_hand(path: Path, hand_id: str) -> HandModel:
                 f"found {len(fixed)}"
             )
         tips.append(fixed[0][:3, 3])
-    masses = [link.mass for link in urdf.links]
-    carried = sum(masses) if masses[part_links[0]] > masses[0] else 0.0
+    carried = urdf.mass if urdf.links[part_links[0]].mass > urdf.links[0].mass else 0.0
     return HandModel(hand_id, urdf, offsets, np.array(tips), urdf.joint_limits, part_links, carried)

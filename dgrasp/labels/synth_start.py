@@ -128,8 +128,7 @@ def _opened(hand: TorchHand, rng: np.random.Generator, n: int) -> Array:
 
 def _pad_center(hand: TorchHand) -> Array:
     """(3,) m: a point before the palm, in the wrist frame."""
-    knuckles = hand.model.offsets[[1, 4, 7, 10]].mean(axis=0)
-    return np.asarray(0.8 * knuckles + 0.04 * hand.motions.palmar[0])
+    return np.asarray(0.8 * hand.knuckles + 0.04 * hand.motions.palmar[0])
 
 
 def _opposite_sides(setting: Setting, rng: np.random.Generator, n: int) -> tuple[Array, Array]:

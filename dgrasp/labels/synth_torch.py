@@ -75,8 +75,8 @@ class TorchHand:
     """A hand's spheres, motions and limits as tensors.
 
     radii (P,), parts (P,) and local (P, 3): the spheres, as in `HandSpheres`. pads (P, 3): from each centre to the
-    sphere's surface on the pad's side, in the part's frame. pointing (3,): from the wrist to the knuckles, in the
-    wrist's frame. pairs: see `_pairs`.
+    sphere's surface on the pad's side, in the part's frame. knuckles (3,): their middle in the wrist's frame, m;
+    pointing (3,): the direction to it. pairs: see `_pairs`.
     """
 
     def __init__(self, hand: HandModel, side: Side) -> None:
@@ -92,8 +92,8 @@ class TorchHand:
         self._offsets, self._tips = tensor(hand.offsets), tensor(hand.tips)
         self.members = [torch.nonzero(self.parts == part)[:, 0] for part in range(N_PARTS)]
         self.pairs = self._pairs()
-        knuckles = hand.offsets[[1, 4, 7, 10]].mean(axis=0)
-        self.pointing = tensor(knuckles / np.linalg.norm(knuckles))
+        self.knuckles: Array = hand.offsets[_FIRST[:4]].mean(axis=0)
+        self.pointing = tensor(self.knuckles / np.linalg.norm(self.knuckles))
 
     def _pairs(self) -> tuple[Tensor, Tensor]:
         """Every other sphere (S,), and (S, S) bool: those that should not overlap, each pair once.

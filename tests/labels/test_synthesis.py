@@ -1,8 +1,7 @@
-"""Synthesised grasps: the hand's motions, the distance field, the energies, the descent, and the command."""
+"""Synthesised grasps: the energies, the descent, and the labels that come of them."""
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,12 +12,11 @@ from scipy.spatial.transform import Rotation
 from dgrasp.cli import run_command
 from dgrasp.config import make_config
 from dgrasp.errors import ConfigError
-from dgrasp.geometry.distance_grid import distance_grid, triangle_distances
+from dgrasp.geometry.distance_grid import distance_grid
 from dgrasp.geometry.intersection import body
 from dgrasp.geometry.shape_mesh import shape_mesh
 from dgrasp.hand import approximate
-from dgrasp.hand.motions import MOTIONS, hand_motions
-from dgrasp.hand.skeleton import N_PARTS, PARTS
+from dgrasp.hand.skeleton import N_PARTS
 from dgrasp.hand.store import open_hand
 from dgrasp.labels import synthesis
 from dgrasp.labels.distance import HandSpheres, part_poses
@@ -30,13 +28,11 @@ from dgrasp.labels.synthesis import Synthesiser, gt_pd_holds, order_of_both
 from dgrasp.labels.synthesis_report import joint_distances
 from dgrasp.objects.free import free_object
 from dgrasp.objects.inertia import object_model
-from dgrasp.objects.resting import resting_rotations, turn_down
 from dgrasp.objects.store import load_object
 from dgrasp.scene.scene import TABLE_TOP
 from dgrasp.types import GraspLabel
-from raisim_like.rotations import matrix_from_euler
 from raisim_like.shapes import Shape
-from tests.labels.distances import hand_bottom, part_distances, signed_distance
+from tests.labels.distances import hand_bottom, part_distances
 from tests.objects.meshes import box, save
 from tests.scenes import free_hand, make_label
 
@@ -53,120 +49,6 @@ def setting() -> Setting:
     model = free_object(BRICK, "official", True)
     united = body([shape_mesh(shape) for shape in model.shapes])
     return Setting(model, united, ObjectField(distance_grid(united, pitch=0.006)))
-
-
-# The distance field ------------------------------------------------------------------------------
-
-
-def test_distance_to_a_triangle() -> None:
-    triangle = np.array([[0.0, 0.0, 0.0], [4.0, 0.0, 0.0], [0.0, 4.0, 0.0]])
-    points = np.array([[1.0, 1.0, 2.0], [-3.0, -4.0, 0.0], [2.0, -1.0, 0.0], [3.0, 3.0, 0.0], [4.0, 0.0, -1.0]])
-    expected = [2.0, 5.0, 1.0, 2.0**0.5, 1.0]
-    assert triangle_distances(np.repeat(triangle[None], 5, 0), points) == pytest.approx(expected, abs=1e-12)
-
-
-def test_the_grid_has_the_distances_of_a_union() -> None:
-    # Two overlapping boxes: x from -0.03 to 0.05, y and z from -0.02 to 0.02.
-    shapes = [Shape("box", (0.06, 0.04, 0.04)), Shape("box", (0.06, 0.04, 0.04), position=(0.02, 0.0, 0.0))]
-    grid = distance_grid(body([shape_mesh(shape) for shape in shapes]), pitch=0.004)
-    low, high = grid.low, grid.high
-    assert (low < [-0.06, -0.05, -0.05]).all() and (high > [0.08, 0.05, 0.05]).all()
-    axes = [low[k] + grid.pitch * np.arange(grid.values.shape[k]) for k in range(3)]
-    points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
-    whole = [Shape("box", (0.08, 0.04, 0.04), position=(0.01, 0.0, 0.0))]
-    expected = signed_distance(whole, points)
-    near = np.abs(expected) < 0.018
-    assert grid.values[near] == pytest.approx(expected[near], abs=1e-9)
-    assert (grid.values - expected).min() > -1e-9 and (grid.values - expected).max() < 0.004
-
-
-def test_the_field_interpolates_and_goes_on_beyond_its_grid(setting: Setting) -> None:
-    # The brick is 0.050 by 0.075 by 0.050.
-    points = tensor(np.array([[0.030, 0.0, 0.0], [0.020, 0.0, 0.0], [0.0, 0.0, 0.525]]))
-    distance, normal = setting.field.with_normal(points)
-    assert distance.numpy() == pytest.approx([0.005, -0.005, 0.500], abs=5e-4)
-    assert normal.numpy() == pytest.approx(np.array([[1, 0, 0], [1, 0, 0], [0, 0, 1]]), abs=0.02)
-
-
-# Objects at rest ---------------------------------------------------------------------------------
-
-
-def test_a_box_rests_on_its_faces_and_rather_on_the_broad_ones() -> None:
-    corners = np.array([[x, y, z] for x in (-0.02, 0.02) for y in (-0.05, 0.05) for z in (-0.1, 0.1)])
-    R, share = resting_rotations(corners, np.zeros(3))
-    height = -(R[:, 2] @ corners.T).min(axis=1)
-    assert share.sum() == pytest.approx(1.0)
-    assert height[share.argmax()] == pytest.approx(0.02)
-    # Tipping angles: on the narrowest faces atan(0.02 / 0.1), on the broadest atan(0.05 / 0.02).
-    assert share.max() / share[np.abs(height - 0.02) > 1e-9].min() <= 10.0 + 1e-9
-    assert (np.abs(height - 0.1) > 1e-9).all()
-
-
-@pytest.mark.parametrize("normal", [(0.0, 0.0, -1.0), (0.0, 0.0, 1.0), (0.6, 0.0, 0.8)])
-def test_turned_down(normal: tuple[float, float, float]) -> None:
-    R = turn_down(np.array(normal))
-    assert R @ normal == pytest.approx([0.0, 0.0, -1.0], abs=1e-12)
-    assert np.linalg.det(R) == pytest.approx(1.0)
-
-
-def test_a_ball_rests_as_it_is_modelled() -> None:
-    rng = np.random.default_rng(0)
-    ball = rng.normal(size=(400, 3))
-    R, share = resting_rotations(ball / np.linalg.norm(ball, axis=1, keepdims=True), np.zeros(3))
-    # No face of 400 points is broad enough to stand on.
-    assert pytest.approx(np.eye(3)[None]) == R or share.sum() == pytest.approx(1.0)
-
-
-# The hand ------------------------------------------------------------------------------------------
-
-
-def test_kinematics_are_those_of_numpy(hand: TorchHand) -> None:
-    rng = np.random.default_rng(0)
-    pose, T = rng.uniform(-0.5, 0.5, (3, 45)), np.tile(np.eye(4), (3, 1, 1))
-    T[:, :3, :3], T[:, :3, 3] = matrix_from_euler(rng.uniform(-1, 1, (3, 3))), rng.normal(size=(3, 3))
-    posed = hand.forward(tensor(T[:, :3, :3]), tensor(T[:, :3, 3]), tensor(pose))
-    R, t = part_poses(hand.model, T, pose)
-    assert np.abs(posed.R.numpy() - R).max() < 1e-5 and np.abs(posed.t.numpy() - t).max() < 1e-5
-    assert np.abs(posed.centers.numpy() - hand.spheres.place(R, t)).max() < 1e-5
-    gc = np.concatenate([np.zeros((3, 6)), pose], axis=1)
-    _, joints = hand.model.forward(gc, T[:, :3, :3], T[:, :3, 3])
-    assert np.abs(hand.tips(posed).numpy() - joints[:, 4::4]).max() < 1e-5
-
-
-def test_motions_bend_fingers_about_their_axes(hand: TorchHand) -> None:
-    motions = hand.motions
-    assert motions.to_pose.shape == (len(MOTIONS), 45) == (21, 45)
-    # The middle finger, which points along -x, flexes about z of its three joints, and its pads face -y like the palm.
-    for name, joint in (("middle_proximal", 11), ("middle_middle", 14), ("middle_distal", 17)):
-        expected = np.zeros(45)
-        expected[joint] = 1.0
-        assert motions.to_pose[MOTIONS.index(name)] == pytest.approx(expected, abs=1e-6)
-    for part in ("palm", "middle_proximal", "middle_distal"):
-        assert motions.palmar[PARTS.index(part)] == pytest.approx([0.0, -1.0, 0.0], abs=0.01)
-    assert np.linalg.norm(motions.palmar, axis=1) == pytest.approx(np.ones(16))
-    assert motions.whiten @ motions.factor == pytest.approx(np.eye(21), abs=1e-9)
-    # The mean hand is within its limits.
-    pose = motions.mean @ motions.to_pose
-    assert (pose >= hand.model.limits[6:, 0]).all() and (pose <= hand.model.limits[6:, 1]).all()
-
-
-def test_fingers_of_the_prior_bend_alike(hand: TorchHand) -> None:
-    covariance = hand.motions.factor @ hand.motions.factor.T
-    spread = np.sqrt(np.diag(covariance))
-    index, ring, middle, distal = (MOTIONS.index(k) for k in ("index_middle", "ring_middle", "middle_middle",
-                                                              "index_distal"))  # fmt: skip
-    correlation = covariance / np.outer(spread, spread)
-    assert correlation[index, middle] == pytest.approx(0.75) and correlation[index, ring] == pytest.approx(0.75**2)
-    # The distal joint has two thirds of the middle one's 20 degrees, and 6 of its own.
-    assert np.degrees(spread[distal]) == pytest.approx(np.hypot(40 / 3, 6.0))
-
-
-def test_a_left_hand_is_the_mirror_image(hand: TorchHand) -> None:
-    mirror = np.array([-1.0, 1.0, 1.0])
-    left = replace(hand.model, offsets=hand.model.offsets * mirror, tips=hand.model.tips * mirror)
-    motions = hand_motions(left, "left")
-    assert motions.palmar == pytest.approx(hand.motions.palmar * mirror, abs=1e-12)
-    assert motions.to_pose == pytest.approx(hand.motions.to_pose * np.tile([1.0, -1.0, -1.0], 15), abs=1e-12)
 
 
 # Energies ------------------------------------------------------------------------------------------
