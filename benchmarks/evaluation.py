@@ -14,7 +14,7 @@ from dgrasp.baselines import PdBaseline
 from dgrasp.build import build_spec
 from dgrasp.config import load_config
 from dgrasp.data import resolve
-from dgrasp.env import grasp_env
+from dgrasp.env import worlds
 from dgrasp.eval.evaluator import evaluate
 from dgrasp.pool import make_pool
 from raisim_like.world import World, integrate
@@ -39,8 +39,8 @@ def main() -> None:
     choice = resolve(config)
     print(choice.describe())
     clock = Clock()
-    # The environment calls it by its own name for it.
-    grasp_env.integrate = clock  # type: ignore[assignment]
+    # The environment's worlds call it by their own name for it.
+    worlds.integrate = clock  # type: ignore[assignment]
     pool = make_pool(build_spec(choice, config))
     try:
         _, cost = evaluate(pool, PdBaseline(), config, config.eval.window_s)

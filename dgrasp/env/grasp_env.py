@@ -17,21 +17,16 @@ from dgrasp.env.rewards import Reward
 from dgrasp.env.start import start_pose, taking_part, with_noise
 from dgrasp.env.state import StepArrays, state_views
 from dgrasp.env.training_hold import TrainingHold
+from dgrasp.env.worlds import Worlds
 from dgrasp.hand.model import HandModel
 from dgrasp.hand.skeleton import ACTION_SIZES, N_DOF
 from dgrasp.objects.model import ObjectModel
 from dgrasp.scene.scene import LOWERED_TOP, TABLE_TOP, Scene
 from dgrasp.types import Array, GraspLabel, StartPose
-from raisim_like.rotations import matrix_from_quaternion
-from raisim_like.world import integrate
 
 Mode = Literal["train", "test", "label"]
 """train: noisy start, table stays, ended episodes restart. test: exact start, nothing restarts.
 label: hand and object in the label's pose, no table (the baselines' start)."""
-
-MAX_SPEED, MAX_SPIN = 50.0, 1000.0
-"""m/s and rad/s of the object, beyond which the simulation has exploded."""
-
 
 @dataclass
 class GraspEnv:
@@ -64,9 +59,7 @@ class GraspEnv:
         self.o = StepArrays.allocate(n, self.layer.size, len(self.reward.names))
         self.goal = make_goal(self.labels)
         self.starts = [start_pose(label, self.hand) for label in self.labels]
-        self.scenes = [self._new_scene(i) for i in range(n)]
-        self.s.object_mass[:] = [scene.object_model.mass for scene in self.scenes]
-        self._object_state = np.zeros((n, 13))
+        self.worlds = Worlds(self.labels, self.hand, self.objects, self.config, self.make_scene, self.s)
         self._target = np.zeros((n, N_DOF))
         self._limits = self.hand.limits.T.copy()
         self._rng: list[np.random.Generator] = []
@@ -81,24 +74,20 @@ class GraspEnv:
         self.clock = np.zeros(n, int)
         self.steps_made = np.zeros(n, int)
         """Control steps of each environment since it was made."""
-        self._retired_seconds = np.zeros(n)
 
     def _start_control(self) -> Controller:
         """The controller that an episode begins with."""
         env = self.config.env
         return LabelPose(env.action) if self.mode == "label" else GRASP_CONTROLLERS[env.wrist](env.action)
 
-    def _new_scene(self, i: int) -> Scene:
-        label, physics = self.labels[i], self.config.physics
-        if not label.on_table:
-            # Such grasps may come from below (supplement, B.5: no collision between hand and surface).
-            physics = physics.model_copy(update={"hand_table_collision": False})
-        return self.make_scene(self.hand, self.objects[label.object_id], physics, self.config.engine)
-
     def close(self) -> None:
         """Free all worlds."""
-        for scene in self.scenes:
-            scene.close()
+        self.worlds.close()
+
+    @property
+    def scenes(self) -> list[Scene]:
+        """One per environment."""
+        return self.worlds.scenes
 
     @property
     def step_seconds(self) -> float:
@@ -108,7 +97,7 @@ class GraspEnv:
     @property
     def seconds_per_env(self) -> Array:
         """(N,) the same for each environment."""
-        return self._retired_seconds + [scene.world.engine_world.step_seconds for scene in self.scenes]
+        return self.worlds.seconds
 
     # Reset -------------------------------------------------------------------------------------
 
@@ -119,47 +108,31 @@ class GraspEnv:
         self.control = self._start_control()
         for i in range(self.num_envs):
             if not self.alive[i]:
-                self._rebuild(i)
+                self.worlds.rebuild(i)
             self._place(i)
         self.alive[:] = True
         count = self.config.labels.per_epoch if mode == "train" else None
         self.active[:] = taking_part(self.config.seed, epoch, count, self.indices, self.total)
         self._path = None
-        self._derive(slice(None))
+        self.worlds.derive(slice(None))
         # What the PD target is before the first action: a hand that is to hold its fingers may begin with it.
         self.control.bias(self.s, self.goal, self._target)
         self._observe(self.o.observation)
         self.o.terminated[:], self.o.truncated[:] = False, False
         return self.o.observation
 
-    def _rebuild(self, i: int) -> None:
-        """A world that exploded keeps its NaNs; only a new one is clean."""
-        self._retired_seconds[i] += self.scenes[i].world.engine_world.step_seconds
-        self.scenes[i].close()
-        self.scenes[i] = self._new_scene(i)
-
     def _place(self, i: int) -> None:
-        scene, label = self.scenes[i], self.labels[i]
+        label = self.labels[i]
         if self.mode == "label":
             start = StartPose(label.T_WH, label.T_WO, label.hand_pose)
         else:
             start = self.starts[i]
             if self.mode == "train":
                 start = with_noise(start, self.config.env.noise, self._rng[i])
-        table_top = LOWERED_TOP if self.mode == "label" else TABLE_TOP
-        scene.place(start.T_WH, start.hand_pose, start.T_WO, table_top)
-        scene.set_gains(
-            self.config.env.action, self.control.kp_position, scene.object_model.mass if self.control.carries else 0.0
-        )
+        self.worlds.place(i, start, LOWERED_TOP if self.mode == "label" else TABLE_TOP, self.control)
         s = self.s
-        s.R_WH0[i], s.wrist_start_W[i] = start.T_WH[:3, :3], start.T_WH[:3, 3]
-        s.object_start_W[i] = s.target_pos_W[i] = start.T_WO[:3, 3]
-        s.R_WG[i] = start.T_WO[:3, :3]
-        s.table_height_W[i] = TABLE_TOP
-        s.table_contact[i] = 0.0
+        s.R_WG[i], s.target_pos_W[i] = start.T_WO[:3, :3], start.T_WO[:3, 3]
         s.table_gone[i], s.holding[i], s.episode_time[i] = 0.0, 0.0, 0.0
-        self._engine_state(i)
-        s.contact_impulse[i] = 0.0
         self.clock[i] = 0
         if self.mode == "train":
             self.hold.draw(i, self._rng[i])
@@ -174,10 +147,10 @@ class GraspEnv:
         self._advance()
         self.clock += self.alive & self.active
         self.steps_made += self.alive & self.active
-        broken = self._broken()
+        broken = self.worlds.exploded() & self.alive & self.active
         if broken.any():
             self._bury(np.flatnonzero(broken))
-        self._derive(slice(None))
+        self.worlds.derive(slice(None))
         np.divide(self.clock, self.config.env.episode_steps, out=self.s.episode_time)
         dropped = self.hold.judge(self.s) if self._training_hold else np.zeros(self.num_envs, bool)
         r = relations(self.s, self.goal)
@@ -201,7 +174,7 @@ class GraspEnv:
         """Write the PD targets of this step: the controller's bias and the residual actions."""
         if self._training_hold:
             for i in self.hold.begin(self.s, self.clock, self.active).tolist():
-                self._release(i, self.hold.control)
+                self.worlds.release(i, self.hold.control)
         self.control.bias(self.s, self.goal, self._target)
         sigma = self.control.sigma
         if self._training_hold:
@@ -216,18 +189,12 @@ class GraspEnv:
     def _training_hold(self) -> bool:
         return self.mode == "train" and self.hold.exists
 
-    def _release(self, i: int, control: Controller) -> None:
-        """One world without its table, its wrist as stiff as the controller wants it."""
-        scene = self.scenes[i]
-        scene.set_table_top(LOWERED_TOP)
-        scene.set_gains(self.config.env.action, control.kp_position, scene.object_model.mass)
-
     def remove_table(self) -> None:
         """Take the table away and hold the wrist where it is: the stability test begins."""
         self.control = WristHold(self.config.env.action, self.s)
         self.s.table_gone[:] = 1.0
         for i in range(self.num_envs):
-            self._release(i, self.control)
+            self.worlds.release(i, self.control)
 
     def begin_motion(self, path: Array, fingers: Fingers = "policy") -> None:
         """Motion synthesis begins: the wrist carries the objects along targets T_WG (N, P, 4, 4).
@@ -248,8 +215,8 @@ class GraspEnv:
             held = np.clip(self._target if fingers == "target" else self.s.gc, *self._limits)[:, 6:]
         env = self.config.env
         self.control = MotionSynthesis(env.action, self.config.motion, self.num_envs, held)
-        for scene in self.scenes:
-            scene.set_gains(env.action, self.control.kp_position, scene.object_model.mass)
+        for i in range(self.num_envs):
+            self.worlds.set_gains(i, self.control.kp_position)
 
     def _aim(self) -> None:
         """Put the target of the next control step into the state."""
@@ -260,45 +227,13 @@ class GraspEnv:
 
     def _advance(self) -> None:
         """The physics of one control step, for the worlds that have not exploded."""
-        worlds = []
         rows = np.flatnonzero(self.alive & self.active).tolist()
-        for i in rows:
-            self.scenes[i].set_target(self._target[i])
-            worlds.append(self.scenes[i].world)
-        integrate(worlds, self.config.physics.substeps)
-        for i in rows:
-            self._engine_state(i)
-            if self.mode != "train":
-                self.s.table_contact[i] = self.scenes[i].touches_table()
-
-    def _engine_state(self, i: int) -> None:
-        self.scenes[i].read(self.s.gc[i], self.s.gv[i], self.s.contact_impulse[i], self._object_state[i])
-
-    def _derive(self, rows: slice | Array) -> None:
-        """Everything in the state that follows from what the engine reported."""
-        s, body = self.s, self._object_state[rows]
-        s.object_pos_W[rows] = body[:, :3]
-        s.R_WO[rows] = matrix_from_quaternion(body[:, 3:7])
-        s.object_linvel_W[rows], s.object_angvel_W[rows] = body[:, 7:10], body[:, 10:13]
-        s.contacts[rows] = s.contact_impulse[rows] > 0.0
-        s.R_WH[rows], s.joints_W[rows] = self.hand.forward(s.gc[rows], s.R_WH0[rows], s.wrist_start_W[rows])
+        self.worlds.advance(rows, self._target, watch_table=self.mode != "train")
 
     def _observe(self, out: Array) -> None:
         self.layer(self.s, self.goal, relations(self.s, self.goal), out)
 
     # Ends --------------------------------------------------------------------------------------
-
-    def _broken(self) -> Array:
-        """(N,) bool: this step made the state infinite, NaN or absurdly fast."""
-        body = self._object_state
-        sane = (
-            np.isfinite(self.s.gc).all(axis=1)
-            & np.isfinite(self.s.gv).all(axis=1)
-            & np.isfinite(body).all(axis=1)
-            & (np.abs(body[:, 7:10]) < MAX_SPEED).all(axis=1)
-            & (np.abs(body[:, 10:13]) < MAX_SPIN).all(axis=1)
-        )
-        return self.alive & self.active & ~sane
 
     def _bury(self, ids: Array) -> None:
         """Report broken episodes and place them anew, before anything is computed from what broke."""
@@ -308,7 +243,7 @@ class GraspEnv:
                 f"unstable simulation ended an episode: env {self.indices[i]}, label {label.name}, "
                 f"step {int(self.clock[i])}"
             )
-            self._rebuild(i)
+            self.worlds.rebuild(i)
             self._place(i)
             self.alive[i] = self.mode == "train"
 
@@ -317,5 +252,5 @@ class GraspEnv:
         self.o.final_observation[ids] = self.o.observation[ids]
         for i in ids:
             self._place(i)
-        self._derive(ids)
+        self.worlds.derive(ids)
         self._observe(self.o.observation)

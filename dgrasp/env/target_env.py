@@ -102,8 +102,7 @@ class MotionEnv(TargetEnv):
     def _let_go(self, which: Array) -> None:
         """The motion of some environments begins: the wrist is as stiff as motion synthesis has it."""
         for i in np.flatnonzero(which).tolist():
-            scene = self.scenes[i]
-            scene.set_gains(self.config.env.action, HOLD_KP_POSITION, scene.object_model.mass)
+            self.worlds.set_gains(i, HOLD_KP_POSITION)
         self._moving |= which
 
     def _begin_motion_control(self, fingers: Fingers) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from dgrasp.env.grasp_env import MAX_SPEED
+from dgrasp.env.worlds import MAX_SPEED
 from dgrasp.scene.scene import Scene
 from dgrasp.types import Array
 from tests.env.build import actions, label, make_env
