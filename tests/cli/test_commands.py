@@ -13,8 +13,10 @@ import pytest
 import torch
 
 from dgrasp.cli import main, run_command
+from dgrasp.errors import DataError
 from dgrasp.paths import shipped_root
 from dgrasp.rl import checkpoint
+from dgrasp.test import write_gif
 from tests.cli.folder import make_folder
 
 SHORT = [
@@ -78,6 +80,12 @@ def test_objects_option_takes_overrides_behind_it(folder, tmp_path):
     assert run_command("test", [*words, "pool.kind=serial", "eval.window_s=0.1"]) == 0
     result = json.loads(file.read_text())
     assert result["seed"] == 5 and list(result["per_object"]) == ["004_sugar_box"]
+
+
+def test_a_gif_of_nothing_is_refused(tmp_path):
+    with pytest.raises(DataError, match="no episode lasted a single step"):
+        write_gif(tmp_path / "g.gif", [], {})
+    assert not (tmp_path / "g.gif").exists()
 
 
 def test_a_gif_is_written(folder, tmp_path):

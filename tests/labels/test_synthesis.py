@@ -22,6 +22,7 @@ from dgrasp.labels import synthesis
 from dgrasp.labels.distance import HandSpheres, part_poses
 from dgrasp.labels.surfaces import Surfaces
 from dgrasp.labels.synth_energy import Grasps, energies, let_yield, optimise, residual_wrench, unnatural
+from dgrasp.labels.synth_path import free_starts
 from dgrasp.labels.synth_start import Setting, propose
 from dgrasp.labels.synth_torch import ObjectField, TorchHand, tensor
 from dgrasp.labels.synthesis import Synthesiser, gt_pd_holds, order_of_both
@@ -105,6 +106,12 @@ def test_wrists_that_no_arm_turns_like_that_cost(hand: TorchHand) -> None:
     assert pointing == pytest.approx([0.0, 0.0, 0.0, 0.5, 0.0], abs=0.06)
     # Of a left hand, the thumb is at the other end of z.
     assert unnatural(hand, R, up, -1.0).numpy()[:, 0] == pytest.approx([0.0, 0.0, 0.5, 0.0, 0.0], abs=0.02)
+
+
+def test_a_round_without_sound_grasps_has_no_starts(hand: TorchHand, setting: Setting) -> None:
+    none = one_hand(hand, 1.0).take(torch.zeros(0, dtype=torch.long))
+    starts, free = free_starts(hand, setting, none, np.zeros((0, 4, 4)), np.zeros((0, 4, 4)), np.random.default_rng(0))
+    assert starts == [] and free.shape == (0,)
 
 
 def test_the_descent_brings_the_hand_to_the_object(hand: TorchHand, setting: Setting) -> None:
