@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from dgrasp.env.grasp_env import GraspEnv
+from dgrasp.env.worlds import Worlds
 from dgrasp.pool import PoolError, WorkerLost, make_pool
 from dgrasp.pool.process import ProcessPool
 from dgrasp.pool.serial import SerialPool
@@ -146,16 +147,17 @@ def test_a_worker_that_never_lives_is_given_up(monkeypatch):
 def test_a_broken_episode_can_be_played_again(monkeypatch):
     """An explosion in the middle of an epoch leaves the seed, the epoch and the actions that lead to it."""
     pool = SerialPool(make_spec(2, ["env.episode_steps=70"]))
-    seen = []
+    seen, steps = [], 0
 
-    def explode(env):
-        # A speed that no simulation survives, at the 20th control step of the second environment.
-        broken = (env.clock == 20) & (np.array(env.indices) == 1)
-        if broken.any():
-            seen.append(env.s.gc[1].copy())
-        return broken & (len(seen) == 1)
+    def explode(worlds):
+        # The second world, once, in the 20th control step that is judged.
+        nonlocal steps
+        steps += 1
+        if steps == 20:
+            seen.append(worlds.s.gc[1].copy())
+        return np.array([False, steps == 20])
 
-    monkeypatch.setattr(GraspEnv, "_broken", explode)
+    monkeypatch.setattr(Worlds, "exploded", explode)
     pool.collect(_actor(), 4, 70, lambda n: None)
     (incident,) = pool.drain_incidents()
     assert (incident.env, incident.epoch, incident.actions.shape) == (1, 4, (20, 51))
