@@ -1,12 +1,14 @@
 """How fast a training epoch is, and how much of it is physics: `python -m benchmarks.epoch --workers 1,2`.
 
-Each row is one epoch as the runner does it (rollout and PPO update) after a warm-up of a few steps.
+Each row is the median over epochs as the runner does them (rollout and PPO update), without the first, from rest.
 Physics is the time inside the engine's own step, over the wall time of all workers, update included.
+`pool.kind=ray` beside `pool.kind=process` tells what Ray costs.
 """
 
 from __future__ import annotations
 
 import argparse
+import statistics
 import tempfile
 import time
 from pathlib import Path
@@ -53,10 +55,11 @@ def main() -> None:
             runner.learn()
             seconds = time.perf_counter() - start
         pool.close()
-        row = rows[-1]
-        speed = row["speed/steps_per_second"]
+        speed, share, update = (
+            statistics.median(row[f"speed/{name}"] for row in rows[1:])
+            for name in ("steps_per_second", "physics_share", "update_share")
+        )
         base = base or speed
-        share, update = row["speed/physics_share"], row["speed/update_share"]
         print(f"{workers:>7} {speed:>9.1f} {share:>8.3f} {update:>7.3f} {speed / base:>6.2f}   ({seconds:.0f} s)")
 
 
