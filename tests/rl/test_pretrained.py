@@ -1,0 +1,39 @@
+"""The policy that ships: of the set that ships, small, and better than PD control where no training has been."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from dgrasp.cli import run_command
+from dgrasp.config import load_config
+from dgrasp.data import resolve
+from dgrasp.paths import data_root
+from dgrasp.request import PRETRAINED_FILE
+from dgrasp.rl.weights import read_weights
+
+
+def test_it_was_trained_on_the_set_that_ships() -> None:
+    """Who makes hand or labels anew has to train anew."""
+    file = data_root() / PRETRAINED_FILE
+    assert file.stat().st_size <= 5 * 2**20
+    _, about = read_weights(file)
+    stamp = resolve(load_config(None, ["data=free", "labels.split=train"])).stamp()
+    assert about["data"] == stamp and stamp["licence"] == "MIT" and stamp["n_objects"] == 20
+    assert '"/' not in json.dumps(about), "a path of the machine that trained"
+
+
+def test_it_holds_what_pd_control_drops(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Test labels of three objects, in a second and a half without a table."""
+    objects = "labels.objects=[004_sugar_box, 009_gelatin_box, 061_foam_brick]"
+    words = ["--data", "free", "--split", "test", "--window", "1.5", objects, "labels.limit_per_object=3",
+             "eval.interpenetration=false"]  # fmt: skip
+    success = {}
+    for name, method in (("gt_pd", ["--baseline", "gt_pd"]), ("policy", ["--run", "pretrained"])):
+        file = tmp_path / f"{name}.json"
+        assert run_command("test", [*method, *words, "--json", str(file)]) == 0
+        success[name] = json.loads(file.read_text())["mean_over_labels"]["success"]
+    capsys.readouterr()
+    assert success["policy"] >= 0.85 and success["policy"] > success["gt_pd"] + 0.2
