@@ -17,6 +17,7 @@ from dgrasp.eval.method import Method, PolicyMethod
 from dgrasp.paths import data_root
 from dgrasp.rl import checkpoint
 from dgrasp.rl.policies import SavedPolicy, read_policy
+from dgrasp.rl.weights import SUFFIX
 from dgrasp.train import find_config
 
 PRETRAINED = "pretrained"
@@ -70,8 +71,11 @@ def _base(arguments: argparse.Namespace, saved: SavedPolicy | None) -> tuple[str
     """What the overrides are laid over, and where it is from: --cfg, the run's or the policy's own config, or the
     paper's."""
     cfg = find_config(arguments.cfg)
+    file = policy_file(arguments)
     if cfg is None and saved is not None and saved.config:
-        return str(policy_file(arguments)), saved.config
+        # Who is given a policy may not have the engine it was trained on.
+        told = ("engine",) if file is not None and file.suffix == SUFFIX else ()
+        return str(file), {key: value for key, value in saved.config.items() if key not in told}
     if cfg is None and arguments.run is not None and not _is_pretrained(arguments):
         cfg = arguments.run / "config.yaml"
         if not cfg.is_file():
