@@ -12,7 +12,7 @@ FITS := import ensurepip, sys, venv; sys.exit(sys.version_info[:2] not in ((3, 1
 
 help:
 	@echo "make setup   make .venv: dgrasp and what it needs, pinned"
-	@echo "make demo    PD control on the free set and a short training, with replays (ten minutes at most)"
+	@echo "make demo    PD control and the shipped policy on the free set, a short training, replays (about ten minutes)"
 	@echo "make test    ruff, mypy and pytest"
 	@echo "make clean   remove .venv, builds and caches; runs/ and results/ stay"
 
