@@ -109,15 +109,13 @@ class HoldConfig(Section):
 
     The table goes at a step drawn from first_step to last_step, the wrist is held where it is, and the episode
     ends when the object has dropped by `drop` (m). `env.reward.hold` is paid for every step until then; graded: less of
-    it the further the object has sunk, nothing at `drop`; turn: less of it the further the object has turned since
-    the table went, nothing at `turn` (rad).
+    it the further the object has sunk, nothing at `drop`.
     """
 
     first_step: Count | None = None
     last_step: Count = 65
     drop: Positive = 0.05
     graded: bool = False
-    turn: Positive | None = None
 
 
 class EnvConfig(Section):

@@ -29,7 +29,7 @@ def config_of(arguments: argparse.Namespace) -> Config:
     """The config: --cfg, or the run's or policy's own, or the paper's, with the options and key=value laid over it."""
     path = policy_file(arguments)
     saved = None if path is None else read_policy(path)
-    where, values = _base(arguments, saved)
+    where, values = _base(arguments, path, saved)
     # `--objects A B seed=3`: what holds an equals sign is not an object.
     objects = None if arguments.objects is None else [name for name in arguments.objects if "=" not in name]
     trailing = [word for word in arguments.objects or [] if "=" in word]
@@ -67,15 +67,16 @@ def _is_pretrained(arguments: argparse.Namespace) -> bool:
     return str(arguments.run) == PRETRAINED and not arguments.run.exists()
 
 
-def _base(arguments: argparse.Namespace, saved: SavedPolicy | None) -> tuple[str, dict[str, Any]]:
+def _base(
+    arguments: argparse.Namespace, path: Path | None, saved: SavedPolicy | None
+) -> tuple[str, dict[str, Any]]:
     """What the overrides are laid over, and where it is from: --cfg, the run's or the policy's own config, or the
     paper's."""
     cfg = find_config(arguments.cfg)
-    file = policy_file(arguments)
-    if cfg is None and saved is not None and saved.config:
+    if cfg is None and path is not None and saved is not None and saved.config:
         # Who is given a policy may not have the engine it was trained on.
-        told = ("engine",) if file is not None and file.suffix == SUFFIX else ()
-        return str(file), {key: value for key, value in saved.config.items() if key not in told}
+        told = ("engine",) if path.suffix == SUFFIX else ()
+        return str(path), {key: value for key, value in saved.config.items() if key not in told}
     if cfg is None and arguments.run is not None and not _is_pretrained(arguments):
         cfg = arguments.run / "config.yaml"
         if not cfg.is_file():

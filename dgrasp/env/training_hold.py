@@ -17,7 +17,6 @@ class TrainingHold:
         self.config, self.control = env.hold, WristHold(env.action, state)
         self.exists = env.hold.first_step is not None
         self._removal, self._drop_height = np.zeros(n, int), np.zeros(n)
-        self._rotation = np.tile(np.eye(3), (n, 1, 1))
         self._target = np.zeros((n, N_DOF))
 
     def draw(self, i: int, rng: np.random.Generator) -> None:
@@ -32,7 +31,6 @@ class TrainingHold:
             self.control.catch(state, rows)
             state.table_gone[rows] = 1.0
             self._drop_height[rows] = state.object_pos_W[rows, 2] - self.config.drop
-            self._rotation[rows] = state.R_WO[rows]
         return rows
 
     def aim(self, state: SceneState, goal: GraspGoal, sigma: Array, target: Array) -> Array:
@@ -48,9 +46,4 @@ class TrainingHold:
         dropped: Array = (state.table_gone > 0) & (left < 0.0)
         share = np.clip(left / self.config.drop, 0.0, 1.0) if self.config.graded else ~dropped
         np.multiply(state.table_gone, share, out=state.holding)
-        if self.config.turn is not None:
-            # An object that no finger stops turns in the grip long before it falls: its inertia is large.
-            cosine = (np.einsum("nij,nij->n", self._rotation, state.R_WO) - 1.0) / 2.0
-            turned = np.arccos(np.clip(cosine, -1.0, 1.0))
-            state.holding *= np.maximum(1.0 - turned / self.config.turn, 0.0)
         return dropped
