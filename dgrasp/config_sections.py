@@ -148,11 +148,11 @@ SENSES = ("features", "goal_space", "scaled_features", "wrist", "action")
 class MotionConfig(Section):
     """Motion synthesis (paper, section 3.3; supplement, A.2): the wrist carries the object to a 6D target.
 
-    targets: where to: "easy" (the authors'), "ood", "circle", "pour" or a file (docs/motion.md); null tests the grasp
-    alone. per_label: how many targets each grasp is moved to; null takes one of a set, all of a file. steps: control
-    steps of the motion. beta_position, beta_rotation: the gain beta, reached after ramp_position and ramp_rotation
-    control steps in equal steps. stable_alone: leave out grasps that fail the stability test, as the paper does.
-    static_fingers: what the baseline "static grasp" holds, the fingers' pose or their last PD targets.
+    targets: where to: "easy" (the authors'), "near", "ood", "circle", "pour" or a file (docs/motion.md); null tests the
+    grasp alone. per_label: how many targets each grasp is moved to; null takes one of a set, all of a file. steps:
+    control steps of the motion. beta_position, beta_rotation: the gain beta, reached after ramp_position and
+    ramp_rotation control steps in equal steps. stable_alone: leave out grasps that fail the stability test, as the
+    paper does. static_fingers: what the baseline "static grasp" holds, the fingers' pose or their last PD targets.
 
     policy: of the tasks motion and flat, the checkpoint of the grasping policy that makes, or chooses, the grasps.
     sigma_position, sigma_rotation: m and rad that an action of 1 moves the wrist's target in those tasks.

@@ -77,7 +77,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                         help="with --table: policies of these seeds, averaged (default: the config's one)")
     parser.add_argument("--runs", type=Path, default=Path("runs/tables"), metavar="DIR",
                         help="with --table: where its runs and results are (default: runs/tables)")
-    parser.add_argument("--motion", metavar="easy|ood|circle|pour|FILE",
+    parser.add_argument("--motion", metavar="easy|near|ood|circle|pour|FILE",
                         help="move the object to targets: the authors', own ones, a path, or a file of poses")
     parser.add_argument("--cfg", type=Path, metavar="FILE", help="experiment (default: the run's, the policy's, or "
                         "cfg/dexycb.yaml)")

@@ -23,7 +23,7 @@ from dgrasp.eval.method import FrozenGrasp, Method, PolicyMethod
 from dgrasp.eval.summary import Result, Row, summarise
 from dgrasp.motion.files import read_targets
 from dgrasp.motion.paths import PATHS
-from dgrasp.motion.targets import EASY_FILE, TargetSet, draw_targets, easy_targets, ood_targets
+from dgrasp.motion.targets import EASY_FILE, OWN_SETS, TargetSet, draw_targets, easy_targets
 from dgrasp.pool import Pool, PoolSpec, make_pool
 from dgrasp.types import Array, EpisodeRecord
 
@@ -48,8 +48,8 @@ class Motions:
 
 
 def usual_set(choice: DataChoice) -> str:
-    """The targets that are taken where none are named: the authors' where their file is, else the own ones."""
-    return "easy" if (choice.root / "labels" / EASY_FILE).is_file() else "ood"
+    """The targets that are taken where none are named: the authors' where their file is, else own ones like them."""
+    return "easy" if (choice.root / "labels" / EASY_FILE).is_file() else "near"
 
 
 def choose_targets(config: Config, choice: DataChoice) -> TargetSet:
@@ -59,15 +59,16 @@ def choose_targets(config: Config, choice: DataChoice) -> TargetSet:
         path = choice.root / "labels" / EASY_FILE
         if not path.is_file():
             raise DataError(f"{path}: no such file; the authors' targets come with their labels: give such a folder "
-                            "with --data, or choose other targets, such as --motion ood")
+                            "with --data, or choose other targets, such as --motion near")
         return easy_targets(path)
-    if name == "ood":
-        return ood_targets(config.seed)
+    if name in OWN_SETS:
+        return OWN_SETS[name](config.seed)
     if name in PATHS:
         return PATHS[name](period)
     path = Path(str(name)).expanduser()
     if not path.is_file():
-        raise DataError(f"motion.targets: {str(name)!r} is neither easy, ood, {', '.join(PATHS)} nor a file")
+        known = ", ".join(("easy", *OWN_SETS, *PATHS))
+        raise DataError(f"motion.targets: {str(name)!r} is neither {known} nor a file")
     return read_targets(path, period)
 
 
@@ -77,7 +78,7 @@ def run_motions(
     """Move the labels of `spec` to targets. `DataError` if no grasp is stable."""
     config, motion = spec.config, spec.config.motion
     per_label = motion.per_label
-    if per_label is None and targets.name in ("easy", "ood"):
+    if per_label is None and targets.name in ("easy", *OWN_SETS):
         per_label = 1
     which = draw_targets(len(targets.T), len(spec.labels), per_label, np.random.default_rng(config.seed))
     steps = max(motion.steps, targets.T.shape[1])

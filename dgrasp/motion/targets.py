@@ -1,4 +1,4 @@
-"""Target poses T_g of motion synthesis: the authors' set, an own one out of its distribution, and what goes where."""
+"""Target poses T_g of motion synthesis: the authors' set, an own one like it, one far from it, and what goes where."""
 
 from __future__ import annotations
 
@@ -69,6 +69,20 @@ def easy_targets(path: Path) -> TargetSet:
     return TargetSet("easy", transform(matrix_from_euler(angles), position)[:, None], relative=True)
 
 
+def near_targets(seed: int) -> TargetSet:
+    """`SET_SIZE` random targets drawn like the authors' set, but turned both ways about each axis."""
+    rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(5,)))
+    T = np.array([_draw_near(rng) for _ in range(SET_SIZE)])
+    return TargetSet("near", T[:, None], relative=True)
+
+
+def _draw_near(rng: np.random.Generator) -> Array:
+    """(4, 4): a displacement within the box and the angles of the authors' set."""
+    position = rng.uniform([-_EASY_XY, -_EASY_XY, 0.0], [_EASY_XY, _EASY_XY, _EASY_Z])
+    T: Array = transform(matrix_from_euler(rng.uniform(-_EASY_ANGLE, _EASY_ANGLE, 3)), position)
+    return T
+
+
 def ood_targets(seed: int) -> TargetSet:
     """`SET_SIZE` random targets that none of the authors' could be: farther away, and turned farther.
 
@@ -88,11 +102,13 @@ def ood_targets(seed: int) -> TargetSet:
     return TargetSet("ood", transform(R, np.array(positions))[:, None], relative=True)
 
 
+OWN_SETS = {"near": near_targets, "ood": ood_targets}
+"""Sets that are drawn from a seed, by the name that `--motion` gives them."""
+
+
 def training_target(label: GraspLabel, rng: np.random.Generator) -> Array:
-    """(4, 4): a target T_WG to learn with, drawn like the authors' set, but turned both ways about each axis."""
-    position = rng.uniform([-_EASY_XY, -_EASY_XY, 0.0], [_EASY_XY, _EASY_XY, _EASY_Z])
-    T = transform(matrix_from_euler(rng.uniform(-_EASY_ANGLE, _EASY_ANGLE, 3)), position)
-    placed: Array = TargetSet("training", T[None, None], relative=True).place([0], [label])[0, 0]
+    """(4, 4): a target T_WG to learn with, drawn like those of `near_targets`."""
+    placed: Array = TargetSet("training", _draw_near(rng)[None, None], relative=True).place([0], [label])[0, 0]
     return placed
 
 

@@ -39,12 +39,12 @@ def test_the_static_grasp_alone_is_one_line(folder, tmp_path, capsys):
     assert run_command("test", words) == 0
     result = json.loads(file.read_text())
     assert result["method"] == "static_grasp" and result["n_labels"] == 2 and result["paper"] is None
-    assert result["motion"]["targets"] == "ood" and result["motion"]["grasp"] == "gt_pd"
+    assert result["motion"]["targets"] == "near" and result["motion"]["grasp"] == "gt_pd"
     assert result["cost"]["control_steps"] == 2 * 3
     for row in result["per_label"]:
         assert set(row) >= {"object", "index", "target", "mpe_m", "geodesic_rad", "carried"} and "success" not in row
     assert {"mpe_m", "geodesic_rad"} <= set(result["mean_over_objects"])
-    assert "motion: ood, 3 steps" in file.with_suffix(".md").read_text()
+    assert "motion: near, 3 steps" in file.with_suffix(".md").read_text()
     assert "geodesic rad" in capsys.readouterr().out
     assert file.with_suffix(".csv").is_file() and file.with_suffix(".md").is_file()
 
@@ -81,7 +81,7 @@ def test_the_static_grasp_takes_the_grasps_of_a_policy(run, tmp_path):
         (["--baseline", "gt_pd", "--policy", "x.pt"], "expected one of --baseline, --run and --policy"),
         (["--baseline", "gt_pd", "--motion", "ood"], "gt_pd holds a pose and moves nothing"),
         (["--baseline", "static_grasp", "--motion", "easy"], "the authors' targets come with their labels"),
-        (["--baseline", "static_grasp", "--motion", "none.csv"], "neither easy, ood, circle, pour nor a file"),
+        (["--baseline", "static_grasp", "--motion", "none.csv"], "neither easy, near, ood, circle, pour nor a file"),
         (["--baseline", "static_grasp", "motion.steps=0"], "motion.steps"),
     ],
 )

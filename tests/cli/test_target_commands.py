@@ -71,7 +71,7 @@ def test_each_baseline_is_one_line(which, name, request, tmp_path):
     run, file = request.getfixturevalue(which), tmp_path / "out.json"
     assert run_command("test", ["--baseline", name, "--run", str(run), "--json", str(file)]) == 0
     result = json.loads(file.read_text())
-    assert result["method"] == name and result["n_labels"] == 2 and result["motion"]["targets"] == "ood"
+    assert result["method"] == name and result["n_labels"] == 2 and result["motion"]["targets"] == "near"
     # Both have the grasp's steps and the motion's.
     assert result["cost"]["control_steps"] == 2 * (3 + 3)
     assert set(result["per_label"][0]) >= {"target", "mpe_m", "geodesic_rad", "carried"}

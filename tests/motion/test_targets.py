@@ -17,6 +17,7 @@ from dgrasp.motion.targets import (
     TargetSet,
     draw_targets,
     easy_targets,
+    near_targets,
     ood_targets,
 )
 from raisim_like.rotations import matrix_from_euler, rotation_vector, transform
@@ -60,6 +61,16 @@ def test_other_pickles_are_refused() -> None:
     labels = reference_or_skip() / "labels" / "contact_opt_train.pkl"
     with pytest.raises(DataError, match="not the authors' motion targets"):
         easy_targets(labels)
+
+
+def test_the_near_set_lies_where_the_authors_does() -> None:
+    targets = near_targets(3)
+    assert targets.T.shape == (SET_SIZE, 1, 4, 4) and targets.relative and targets.name == "near"
+    assert np.array_equal(targets.T, near_targets(3).T) and not np.array_equal(targets.T, near_targets(4).T)
+    position = targets.T[:, 0, :3, 3]
+    assert np.abs(position[:, :2]).max() < 0.2 and position[:, 2].min() > 0.0 and position[:, 2].max() < 0.3
+    angles = Rotation.from_matrix(targets.T[:, 0, :3, :3]).as_euler("XYZ")
+    assert np.abs(angles).max() < 0.5 and angles.min() < -0.4 and angles.max() > 0.4
 
 
 def test_the_own_set_is_seeded_and_lies_outside_of_the_authors() -> None:
