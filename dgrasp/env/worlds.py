@@ -17,6 +17,8 @@ from raisim_like.world import integrate
 
 MAX_SPEED, MAX_SPIN = 50.0, 1000.0
 """m/s and rad/s of the object, beyond which the simulation has exploded."""
+MAX_FALL = 1000.0
+"""m/s below the floor (z = 0), where what has missed the table falls on and on."""
 
 
 class Worlds:
@@ -103,11 +105,12 @@ class Worlds:
     def exploded(self) -> Array:
         """(N,) bool: whose state is infinite, NaN or absurdly fast."""
         body = self._object_state
+        allowed = np.where(body[:, 2:3] < 0.0, MAX_FALL, MAX_SPEED)
         sane = (
             np.isfinite(self.s.gc).all(axis=1)
             & np.isfinite(self.s.gv).all(axis=1)
             & np.isfinite(body).all(axis=1)
-            & (np.abs(body[:, 7:10]) < MAX_SPEED).all(axis=1)
+            & (np.abs(body[:, 7:10]) < allowed).all(axis=1)
             & (np.abs(body[:, 10:13]) < MAX_SPIN).all(axis=1)
         )
         return np.asarray(~sane)

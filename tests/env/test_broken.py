@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from dgrasp.env.worlds import MAX_SPEED
+from dgrasp.env.worlds import MAX_FALL, MAX_SPEED
 from dgrasp.scene.scene import Scene
 from dgrasp.types import Array
 from tests.env.build import actions, label, make_env
@@ -24,6 +24,16 @@ class Faulty(Scene):
             where, value = self.fault
             {"gc": gc, "gv": gv, "object": object_state}[where][8] = value
             self.fault = None
+
+
+class Fallen(Scene):
+    """An object that has fallen past the table long ago."""
+
+    speed = 0.0
+
+    def read(self, gc: Array, gv: Array, impulse: Array, object_state: Array) -> None:
+        super().read(gc, gv, impulse, object_state)
+        object_state[2], object_state[9] = -200.0, -self.speed
 
 
 FAULTS = [
@@ -54,6 +64,15 @@ def test_a_broken_simulation_ends_its_own_episode(fault: tuple[str, float]) -> N
     assert "env 6" in event and label(6).name in event and "step 3" in event
     faulty.close()
     sound.close()
+
+
+def test_a_long_fall_past_the_table_is_no_broken_simulation() -> None:
+    env = make_env(1, overrides=QUICK, make_scene=Fallen)
+    env.reset(0, "test")
+    for speed, broken in ((2 * MAX_SPEED, False), (2 * MAX_FALL, True)):
+        env.scenes[0].speed = speed  # type: ignore[attr-defined]
+        assert env.step(actions(1, 0)).broken.tolist() == [broken]
+    env.close()
 
 
 def test_a_world_full_of_nan_is_replaced() -> None:
