@@ -15,18 +15,29 @@ from dgrasp.env.features import FeatureLayer, Relations, relations
 from dgrasp.env.goal import make_goal
 from dgrasp.env.rewards import Reward
 from dgrasp.env.start import start_pose, taking_part, with_noise
-from dgrasp.env.state import StepArrays, state_views
+from dgrasp.env.state import StepArrays, state_views, take
 from dgrasp.env.training_hold import TrainingHold
 from dgrasp.env.worlds import Worlds
 from dgrasp.hand.model import HandModel
 from dgrasp.hand.skeleton import ACTION_SIZES, N_DOF
 from dgrasp.objects.model import ObjectModel
 from dgrasp.scene.scene import LOWERED_TOP, TABLE_TOP, Scene
-from dgrasp.types import Array, GraspLabel, StartPose
+from dgrasp.types import Array, GraspGoal, GraspLabel, SceneState, StartPose
 
 Mode = Literal["train", "test", "label"]
 """train: noisy start, table stays, ended episodes restart. test: exact start, nothing restarts.
 label: hand and object in the label's pose, no table (the baselines' start)."""
+
+
+@dataclass(frozen=True)
+class Seen:
+    """Some environments after a step: their rows, and what observation and reward are made of."""
+
+    rows: Array
+    state: SceneState
+    goal: GraspGoal
+    relations: Relations
+
 
 @dataclass
 class GraspEnv:
@@ -62,13 +73,14 @@ class GraspEnv:
         self.worlds = Worlds(self.labels, self.hand, self.objects, self.config, self.make_scene, self.s)
         self._target = np.zeros((n, N_DOF))
         self._limits = self.hand.limits.T.copy()
-        self._rng: list[np.random.Generator] = []
+        self._rng: dict[int, np.random.Generator] = {}
         self.mode: Mode = "train"
         self.control = self._start_control()
         self.hold = TrainingHold(env, self.s, n)
         self.alive = np.ones(n, bool)
         self.active = np.ones(n, bool)
-        """Environments that take part in this epoch (`labels.per_epoch`)."""
+        """Environments that take part in this epoch (`labels.per_epoch`); the others rest as they are."""
+        self._rows = np.arange(n)
         self._path: Array | None = None
         self._path_step = 0
         self.clock = np.zeros(n, int)
@@ -104,20 +116,24 @@ class GraspEnv:
     def reset(self, epoch: int = 0, mode: Mode = "train") -> Array:
         """Start all episodes; the noise depends on (config.seed, epoch, environment). Returns (N, O)."""
         self.mode = mode
-        self._rng = [np.random.default_rng([self.config.seed, epoch, index]) for index in self.indices]
+        count = self.config.labels.per_epoch if mode == "train" else None
+        self.active[:] = taking_part(self.config.seed, epoch, count, self.indices, self.total)
+        self._rows = np.flatnonzero(self.active)
+        self._rng = {i: np.random.default_rng([self.config.seed, epoch, self.indices[i]]) for i in self._rows.tolist()}
         self.control = self._start_control()
-        for i in range(self.num_envs):
+        for i in self._rows.tolist():
             if not self.alive[i]:
                 self.worlds.rebuild(i)
             self._place(i)
-        self.alive[:] = True
-        count = self.config.labels.per_epoch if mode == "train" else None
-        self.active[:] = taking_part(self.config.seed, epoch, count, self.indices, self.total)
+        self.alive[self._rows] = True
         self._path = None
-        self.worlds.derive(slice(None))
+        self.worlds.derive(self._rows)
         # What the PD target is before the first action: a hand that is to hold its fingers may begin with it.
         self.control.bias(self.s, self.goal, self._target)
-        self._observe(self.o.observation)
+        # Who rests shows and earns nothing.
+        for rests in (self.o.observation, self.o.reward, self.o.reward_terms):
+            rests[~self.active] = 0.0
+        self._observe(self._rows)
         self.o.terminated[:], self.o.truncated[:] = False, False
         return self.o.observation
 
@@ -150,12 +166,10 @@ class GraspEnv:
         broken = self.worlds.exploded() & self.alive & self.active
         if broken.any():
             self._bury(np.flatnonzero(broken))
-        self.worlds.derive(slice(None))
+        self.worlds.derive(self._rows)
         np.divide(self.clock, self.config.env.episode_steps, out=self.s.episode_time)
         dropped = self.hold.judge(self.s) if self._training_hold else np.zeros(self.num_envs, bool)
-        r = relations(self.s, self.goal)
-        self._pay(r)
-        self.layer(self.s, self.goal, r, self.o.observation)
+        self._pay(self._observe(self._rows))
         # A broken episode ends with nothing gained, and is already placed anew.
         self.o.reward[broken], self.o.reward_terms[broken] = 0.0, 0.0
         self.o.final_observation[broken] = self.o.observation[broken]
@@ -181,9 +195,12 @@ class GraspEnv:
             sigma = self.hold.aim(self.s, self.goal, sigma, self._target)
         self._target += sigma * actions
 
-    def _pay(self, r: Relations) -> None:
+    def _pay(self, seen: Seen) -> None:
         """Write the reward of this step."""
-        self.reward(self.s, self.goal, r, self.o.reward_terms, self.o.reward)
+        n = len(seen.rows)
+        terms, total = np.empty((n, len(self.reward.names)), np.float32), np.empty(n, np.float32)
+        self.reward(seen.state, seen.goal, seen.relations, terms, total)
+        self.o.reward_terms[seen.rows], self.o.reward[seen.rows] = terms, total
 
     @property
     def _training_hold(self) -> bool:
@@ -206,7 +223,7 @@ class GraspEnv:
         self.s.R_WG[:], self.s.target_pos_W[:] = path[:, 0, :3, :3], path[:, 0, :3, 3]
         self._begin_motion_control(fingers)
         # Who chose the action of the next step must have seen its target.
-        self._observe(self.o.observation)
+        self._observe(self._rows)
 
     def _begin_motion_control(self, fingers: Fingers) -> None:
         """Give the wrist to motion synthesis."""
@@ -230,8 +247,16 @@ class GraspEnv:
         rows = np.flatnonzero(self.alive & self.active).tolist()
         self.worlds.advance(rows, self._target, watch_table=self.mode != "train")
 
-    def _observe(self, out: Array) -> None:
-        self.layer(self.s, self.goal, relations(self.s, self.goal), out)
+    def _observe(self, rows: Array) -> Seen:
+        """Write the observations of some environments; what they were made of."""
+        everyone = len(rows) == self.num_envs
+        state, goal = (self.s, self.goal) if everyone else (take(self.s, rows), take(self.goal, rows))
+        seen = Seen(rows, state, goal, relations(state, goal))
+        out = self.o.observation if everyone else np.empty((len(rows), self.layer.size), np.float32)
+        self.layer(state, goal, seen.relations, out)
+        if not everyone:
+            self.o.observation[rows] = out
+        return seen
 
     # Ends --------------------------------------------------------------------------------------
 
@@ -253,4 +278,4 @@ class GraspEnv:
         for i in ids:
             self._place(i)
         self.worlds.derive(ids)
-        self._observe(self.o.observation)
+        self._observe(ids)

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 
 from dgrasp.hand.skeleton import N_DOF, N_KEYPOINTS, N_PARTS
-from dgrasp.types import Array, SceneState
+from dgrasp.types import Array, GraspGoal, SceneState
 
 _SHAPES: dict[str, tuple[int, ...]] = {
     "gc": (N_DOF,),
@@ -33,6 +34,8 @@ _SHAPES: dict[str, tuple[int, ...]] = {
     "target_pos_W": (3,),
 }
 
+Rows = TypeVar("Rows", SceneState, GraspGoal)
+
 STATE_SIZE = sum(int(np.prod(shape)) for shape in _SHAPES.values())
 """float64 numbers per environment."""
 
@@ -48,6 +51,9 @@ def state_views(n: int, buffer: Array | None = None) -> SceneState:
         offset += size
     return SceneState(**views)
 
+def take(arrays: Rows, rows: Array) -> Rows:
+    """The same of some environments alone: copies."""
+    return type(arrays)(**{name: values[rows] for name, values in vars(arrays).items()})
 
 
 def copy_state(source: SceneState, target: SceneState, rows: slice) -> None:

@@ -9,8 +9,8 @@ import numpy as np
 from dgrasp.control.controllers import HOLD_KP_POSITION, Controller
 from dgrasp.control.motion import Fingers
 from dgrasp.control.wrist import WholeHand, move_wrist
-from dgrasp.env.features import FeatureLayer, Relations, relations
-from dgrasp.env.grasp_env import GraspEnv, Mode
+from dgrasp.env.features import FeatureLayer, relations
+from dgrasp.env.grasp_env import GraspEnv, Mode, Seen
 from dgrasp.hand.skeleton import N_DOF, N_WRIST_DOF
 from dgrasp.motion.targets import training_target
 from dgrasp.rl.collect import Actor
@@ -109,6 +109,6 @@ class MotionEnv(TargetEnv):
         """Let the actions move all wrists."""
         self._let_go(np.ones(self.num_envs, bool))
 
-    def _pay(self, r: Relations) -> None:
-        super()._pay(r)
+    def _pay(self, seen: Seen) -> None:
+        super()._pay(seen)
         self.o.reward[~self._moving], self.o.reward_terms[~self._moving] = 0.0, 0.0

@@ -159,27 +159,24 @@ def collect(
     collection. Returns the episodes that the simulation broke. Raises `DataError` if an observation or reward
     is not finite.
     """
-    steps, n = out.reward.shape
-    noise = np.stack([actor.noise(epoch, index, steps) for index in indices], axis=1)
-    noise *= actor.std
-    action = np.empty_like(noise[0])
+    steps, n, n_actions = out.actions.shape
+    action = np.zeros((n, n_actions), np.float32)
     finals = np.zeros(n, int)
     incidents: list[Incident] = []
     out.reward_terms[:] = 0.0
     observation = env.reset(epoch)
     _check_finite(observation, "observation", indices, epoch, 0)
     active = env.active
-    taking_part = int(np.count_nonzero(active))
+    acting = np.flatnonzero(active)
+    noise = np.empty((steps, len(acting), n_actions), np.float32)
+    for k, row in enumerate(acting.tolist()):
+        noise[:, k] = actor.noise(epoch, indices[row], steps)
+    noise *= actor.std
+    means = np.empty((len(acting), n_actions), np.float32)
     for t in range(steps):
         out.observations[t] = observation
-        if active.all():
-            actor.means(observation, action)
-        else:
-            means = np.empty((np.count_nonzero(active), action.shape[1]), np.float32)
-            actor.means(observation[active], means)
-            action[:] = 0.0
-            action[active] = means
-        action += noise[t]
+        actor.means(observation if len(acting) == n else observation[acting], means)
+        action[acting] = means + noise[t]
         out.actions[t] = action
         result = env.step(action)
         observation = result.observation
@@ -195,7 +192,7 @@ def collect(
             finals[rows] += 1
         for row in np.flatnonzero(result.broken).tolist():
             incidents.append(Incident(indices[row], epoch, out.actions[: t + 1, row].copy()))
-        advance(taking_part)
+        advance(len(acting))
     out.last_observation[:] = observation
     out.valid[:] = active
     return incidents

@@ -108,9 +108,17 @@ def test_the_same_labels_are_drawn_however_the_set_is_divided() -> None:
     # Each is left out in its turn.
     assert len(set(draws)) == 4
     before = whole.s.gc.copy()
-    whole.step(np.ones((4, 51)))
+    out = whole.step(np.ones((4, 51)))
     moved = np.abs(whole.s.gc - before).max(axis=1) > 0
     assert np.array_equal(moved, whole.active)
+    # Those that act do and see the same as where nobody rests.
+    everyone = GraspEnv(spec.labels, spec.hand, spec.objects, make_spec(4, ["env.episode_steps=70"]).config)
+    everyone.reset(5)
+    other = everyone.step(np.ones((4, 51)))
+    for mine, theirs in ((out.observation, other.observation), (out.reward, other.reward),
+                         (out.reward_terms, other.reward_terms)):
+        assert np.array_equal(mine[whole.active], theirs[whole.active]) and not mine[~whole.active].any()
+    everyone.close()
     # A test takes all of them.
     whole.reset(0, "test")
     assert whole.active.all()
