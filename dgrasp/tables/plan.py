@@ -40,9 +40,8 @@ _INGREDIENTS = {
         "ppo.output_gain=1.4142135623730951")),
     "paper_network": ("128 x 128", _FAST, ("ppo.hidden=[128, 128]",)),
     "faithful": ("faithful physics", _FAST, ("physics.preset=faithful",)),
-    "graded": ("with graded hold", _FAST, ("env.hold.graded=true",)),
-    "longer": ("with episodes of 160 steps", _FAST, ("env.episode_steps=160",)),
-    "graded_longer": ("with both", _FAST, ("env.hold.graded=true", "env.episode_steps=160")),
+    "short": ("episodes of 100 steps", _FAST, ("env.episode_steps=100",)),
+    "paper_pose": ("the paper's pose weight", _FAST, ("env.reward.pose=0.1",)),
     "paper": ("cfg/dexycb.yaml", "cfg/dexycb.yaml", ()),
 }  # fmt: skip
 """One row each: name, config, and what is taken away from it or added."""
