@@ -51,6 +51,7 @@ def state_views(n: int, buffer: Array | None = None) -> SceneState:
         offset += size
     return SceneState(**views)
 
+
 def take(arrays: Rows, rows: Array) -> Rows:
     """The same of some environments alone: copies."""
     return type(arrays)(**{name: values[rows] for name, values in vars(arrays).items()})
