@@ -9,7 +9,6 @@ and the second does not is lost on the way; what neither holds is hardly a grasp
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -18,8 +17,8 @@ from dgrasp.build import build_spec
 from dgrasp.config import load_config
 from dgrasp.data import resolve
 from dgrasp.env.grasp_env import GraspEnv
-from dgrasp.eval.metrics import FALLEN_HEIGHT
 from dgrasp.hand.skeleton import FINGERS, KEYPOINTS, N_DOF
+from dgrasp.labels.synthesis import outlasts_window
 from dgrasp.types import Array
 
 HELD = [(0.0, 1.0), *((angle, thumb) for angle in (0.1, 0.2, 0.4, 0.8) for thumb in (0.5, 1.0, 2.0))]
@@ -88,7 +87,8 @@ def _hold(env: GraspEnv, beyond: Array) -> Array:
     env.reset(0, "label")
     # gt_pd gives actions no effect; here they are the fingers' targets.
     env.control.sigma = np.r_[np.zeros(6), np.ones(N_DOF - 6)]
-    return _until_it_falls(env, lambda: beyond)
+    targets = _fingers_alone(beyond)
+    return outlasts_window(env, lambda: targets)
 
 
 def _approach(env: GraspEnv, first: int, last: int, beyond: Array) -> Array:
@@ -105,17 +105,7 @@ def _approach(env: GraspEnv, first: int, last: int, beyond: Array) -> Array:
     for step in range(env.config.env.grasp_steps):
         env.step(_fingers_alone(fingers(step)))
     env.remove_table()
-    return _until_it_falls(env, lambda: fingers(10**6))
-
-
-def _until_it_falls(env: GraspEnv, fingers: Callable[[], Array]) -> Array:
-    """(N,) bool: who holds the object for the test's window."""
-    for _ in range(round(env.config.eval.window_s / env.config.control_period)):
-        env.step(_fingers_alone(fingers()))
-        env.alive &= ~env.s.table_contact.astype(bool) & (env.s.object_pos_W[:, 2] > FALLEN_HEIGHT)
-    held = env.alive.copy()
-    env.alive[:] = True
-    return held
+    return outlasts_window(env, lambda: _fingers_alone(fingers(10**6)))
 
 
 def _fingers_alone(actions: Array) -> Array:

@@ -31,9 +31,9 @@ label: hand and object in the label's pose, no table (the baselines' start)."""
 
 @dataclass(frozen=True)
 class Seen:
-    """Some environments after a step: their rows, and what observation and reward are made of."""
+    """Some environments after a step: their rows (a slice: all), and what observation and reward are made of."""
 
-    rows: Array
+    rows: Array | slice
     state: SceneState
     goal: GraspGoal
     relations: Relations
@@ -80,7 +80,7 @@ class GraspEnv:
         self.alive = np.ones(n, bool)
         self.active = np.ones(n, bool)
         """Environments that take part in this epoch (`labels.per_epoch`); the others rest as they are."""
-        self._rows = np.arange(n)
+        self._rows: Array | slice = slice(None)
         self._path: Array | None = None
         self._path_step = 0
         self.clock = np.zeros(n, int)
@@ -118,10 +118,12 @@ class GraspEnv:
         self.mode = mode
         count = self.config.labels.per_epoch if mode == "train" else None
         self.active[:] = taking_part(self.config.seed, epoch, count, self.indices, self.total)
-        self._rows = np.flatnonzero(self.active)
-        self._rng = {i: np.random.default_rng([self.config.seed, epoch, self.indices[i]]) for i in self._rows.tolist()}
+        acting = np.flatnonzero(self.active).tolist()
+        # All of them need no copies.
+        self._rows = slice(None) if len(acting) == self.num_envs else np.array(acting, dtype=int)
+        self._rng = {i: np.random.default_rng([self.config.seed, epoch, self.indices[i]]) for i in acting}
         self.control = self._start_control()
-        for i in self._rows.tolist():
+        for i in acting:
             if not self.alive[i]:
                 self.worlds.rebuild(i)
             self._place(i)
@@ -197,6 +199,9 @@ class GraspEnv:
 
     def _pay(self, seen: Seen) -> None:
         """Write the reward of this step."""
+        if isinstance(seen.rows, slice):
+            self.reward(seen.state, seen.goal, seen.relations, self.o.reward_terms, self.o.reward)
+            return
         n = len(seen.rows)
         terms, total = np.empty((n, len(self.reward.names)), np.float32), np.empty(n, np.float32)
         self.reward(seen.state, seen.goal, seen.relations, terms, total)
@@ -247,15 +252,17 @@ class GraspEnv:
         rows = np.flatnonzero(self.alive & self.active).tolist()
         self.worlds.advance(rows, self._target, watch_table=self.mode != "train")
 
-    def _observe(self, rows: Array) -> Seen:
+    def _observe(self, rows: Array | slice) -> Seen:
         """Write the observations of some environments; what they were made of."""
-        everyone = len(rows) == self.num_envs
-        state, goal = (self.s, self.goal) if everyone else (take(self.s, rows), take(self.goal, rows))
+        if isinstance(rows, slice):
+            seen = Seen(rows, self.s, self.goal, relations(self.s, self.goal))
+            self.layer(self.s, self.goal, seen.relations, self.o.observation)
+            return seen
+        state, goal = take(self.s, rows), take(self.goal, rows)
         seen = Seen(rows, state, goal, relations(state, goal))
-        out = self.o.observation if everyone else np.empty((len(rows), self.layer.size), np.float32)
+        out = np.empty((len(rows), self.layer.size), np.float32)
         self.layer(state, goal, seen.relations, out)
-        if not everyone:
-            self.o.observation[rows] = out
+        self.o.observation[rows] = out
         return seen
 
     # Ends --------------------------------------------------------------------------------------

@@ -5,6 +5,7 @@ All are drawn from the generator that is passed in: the same seed gives the same
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,6 +15,7 @@ from torch import Tensor
 from dgrasp.config import Config
 from dgrasp.env.grasp_env import GraspEnv
 from dgrasp.errors import ConfigError
+from dgrasp.eval.metrics import FALLEN_HEIGHT
 from dgrasp.geometry.distance_grid import distance_grid
 from dgrasp.geometry.intersection import body
 from dgrasp.geometry.shape_mesh import shape_mesh
@@ -200,12 +202,20 @@ def gt_pd_holds(labels: list[GraspLabel], hand: HandModel, model: ObjectModel, c
     env = GraspEnv(labels, hand, {model.name: model}, config)
     env.reset(mode="label")
     still = np.zeros((len(labels), N_DOF))
-    for _ in range(round(config.eval.window_s / config.control_period)):
-        env.step(still)
-        # What has fallen needs no more physics.
-        env.alive &= ~env.s.table_contact.astype(bool) & (env.s.object_pos_W[:, 2] > 0.1)
-    holds = env.alive.copy()
+    holds = outlasts_window(env, lambda: still)
     env.close()
+    return holds
+
+
+def outlasts_window(env: GraspEnv, actions: Callable[[], Array]) -> Array:
+    """(N,) bool: who holds the object without a table for the test's window, under actions (N, A) of each step."""
+    for _ in range(round(env.config.eval.window_s / env.config.control_period)):
+        env.step(actions())
+        # What has fallen needs no more physics.
+        env.alive &= ~env.s.table_contact.astype(bool) & (env.s.object_pos_W[:, 2] > FALLEN_HEIGHT)
+    holds = env.alive.copy()
+    # Who was left alone is whole: the next reset need not make its world anew.
+    env.alive[:] = True
     return holds
 
 
