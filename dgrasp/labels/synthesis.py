@@ -13,6 +13,7 @@ import torch
 from torch import Tensor
 
 from dgrasp.config import Config
+from dgrasp.config_sections import PhysicsConfig
 from dgrasp.env.grasp_env import GraspEnv
 from dgrasp.errors import ConfigError
 from dgrasp.eval.metrics import FALLEN_HEIGHT
@@ -23,6 +24,7 @@ from dgrasp.hand.mano_model import Side
 from dgrasp.hand.model import HandModel
 from dgrasp.hand.skeleton import N_DOF, THUMB_TIP_PART
 from dgrasp.labels.distance import CONTACT_DISTANCE
+from dgrasp.labels.equilibrium import holds_weight
 from dgrasp.labels.synth_energy import (
     ITERATIONS,
     Grasps,
@@ -49,6 +51,11 @@ MAX_TURNED = 0.15
 """Beyond the wrist's natural range (`synth_energy.unnatural`)."""
 TOUCHING = 0.001
 """m. A pad this close to the object touches it."""
+IN_CONTACT = 0.003
+"""m. A pad this close to the object can press on it."""
+RESERVE = 0.75
+"""Share of the simulated friction with which the contacts must be able to hold the object's weight."""
+FRICTION = PhysicsConfig().friction
 HOLDING_SHARE = 0.3
 """Share of an object's labels that hold by themselves under gt_pd, where that many are found; 0.3 as in DexYCB."""
 BATCH, _ROUNDS = 96, 6
@@ -166,8 +173,21 @@ class Synthesiser:
         # What yields is pulled back by a controller, and so grasps.
         quality += 0.2 * grasps.yields[:, :36].any(1) + 0.2 * grasps.yields[:, 36:].any(1)
         rows = np.flatnonzero(sound.numpy())
+        rows = rows[self._holding(setting, grasps, (point, gap, normal), rows)]
         figures = (quality, depth, touching.sum(1), hand.per_part(distance))
         return _Found(grasps, rest, T_WO, *(value.numpy() for value in figures)).take(rows)
+
+    def _holding(
+        self, setting: Setting, grasps: Grasps, contacts: tuple[Tensor, Tensor, Tensor], rows: Array
+    ) -> Array:
+        """(len(rows),) bool: whose contacts can hold the object's weight."""
+        point, gap, normal = (value.numpy().astype(float) for value in contacts)
+        center, up = setting.model.center_of_mass_O, grasps.up.numpy().astype(float)
+        # In the middle of a thin wall no normal is known.
+        near = (gap < IN_CONTACT) & (np.linalg.norm(normal, axis=2) > 0.5)
+        return np.array(
+            [holds_weight(point[i, near[i]], normal[i, near[i]], center, up[i], RESERVE * FRICTION) for i in rows], bool
+        )
 
     @torch.no_grad()
     def _features(self, found: _Found) -> Array:
