@@ -47,6 +47,9 @@ def config_of(arguments: argparse.Namespace) -> Config:
     # above the options that are short for it.
     words = ["physics.preset=faithful", *overrides, *trailing, *arguments.overrides]
     config = make_config(apply_overrides(values, words), where)
+    if path is None and arguments.run is not None:
+        path = checkpoint.latest(arguments.run)
+        saved = read_policy(path)
     if path is not None and saved is not None:
         _check_senses(saved, config, path)
     return config

@@ -55,10 +55,12 @@ class Run:
     @property
     def epochs(self) -> int:
         """How many epochs `ppo.epochs` and `ppo.max_steps` allow."""
-        ppo, steps = self.config.ppo, self.number("control_steps")
-        if ppo.max_steps is None or not steps:
+        ppo, last = self.config.ppo, [(int(row["epoch"]), int(row["control_steps"])) for row in self.rows[-2:]]
+        if ppo.max_steps is None or len(last) < 2:
             return ppo.epochs
-        return min(ppo.epochs, max(1, int(ppo.max_steps / (steps / self.number("epoch")))))
+        (before, made_before), (epoch, made) = last
+        left = max(0, ppo.max_steps - made) * (epoch - before) // max(1, made - made_before)
+        return min(ppo.epochs, max(1, epoch + left))
 
     @property
     def curve(self) -> list[tuple[int, float]]:
@@ -116,9 +118,18 @@ def main(arguments: argparse.Namespace) -> int:
     table = Table("run", "state", "data", "engine", "objects", *_COST, box=None)
     for column in table.columns[5:]:
         column.justify = "right"
-    for run in map(read_run, found):
-        table.add_row(run.path.name, run.state, _data(run), run.config.engine, _objects(run), *_cost(run))
+    refused = []
+    for path in found:
+        try:
+            run = read_run(path)
+        except ConfigError as error:
+            table.add_row(path.name, "unreadable")
+            refused.append(str(error))
+            continue
+        table.add_row(path.name, run.state, _data(run), run.config.engine, _objects(run), *_cost(run))
     _print(table)
+    for line in refused:
+        print(f"\n{line}")
     return 0
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -13,10 +13,9 @@ from typing import Any
 import numpy as np
 import torch
 
-from dgrasp.atomic import write_atomic
 from dgrasp.baselines import TRAINED_BASELINES
 from dgrasp.build import build_spec, frozen_policy
-from dgrasp.config import Config, dump_config, load_config
+from dgrasp.config import Config, load_config
 from dgrasp.data import DataChoice, resolve
 from dgrasp.errors import ConfigError, DataError
 from dgrasp.eval.evaluator import evaluate
@@ -27,6 +26,7 @@ from dgrasp.motion.targets import draw_targets
 from dgrasp.paths import cfg_root
 from dgrasp.pool import Pool, PoolSpec, make_pool
 from dgrasp.rl import checkpoint
+from dgrasp.rl.log import write_description
 from dgrasp.rl.networks import Policy
 from dgrasp.rl.runner import Runner
 from dgrasp.types import EpisodeRecord
@@ -116,8 +116,7 @@ def start_run(run_dir: Path, config: Config, choice: DataChoice) -> None:
         run_dir.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise DataError(f"{run_dir}: the run directory cannot be made ({error.strerror})") from None
-    write_atomic(run_dir / "config.yaml", dump_config(config))
-    write_atomic(run_dir / "data.json", json.dumps(choice.stamp(), indent=2) + "\n")
+    write_description(run_dir, config, choice.stamp())
 
 
 def train(run_dir: Path, config: Config, choice: DataChoice, resume: bool = False) -> None:
@@ -152,8 +151,7 @@ def periodic_evaluation(pool: Pool, spec: PoolSpec, stamp: dict[str, Any]) -> Ca
         )  # fmt: skip
         values: dict[str, Any] = dict(result.mean_over_labels)
         values["success_mean_over_objects"] = result.mean_over_objects["success"]
-        if config.eval.gif:
-            values["gif"] = _gif(records[count * 7 % len(records)], spec)
+        values |= _gif(records, count, spec)
         count += 1
         return values
 
@@ -187,15 +185,18 @@ def periodic_motion(pool: Pool, spec: PoolSpec, choice: DataChoice) -> Callable[
             # An episode that broke before its motion has neither.
             measured = [row[name] for row in rows if name in row]
             values |= {name: float(np.mean(measured))} if measured else {}
-        if config.eval.gif:
-            values["gif"] = _gif(records[count * 7 % len(records)], spec)
+        values |= _gif(records, count, spec)
         count += 1
         return values
 
     return run
 
 
-def _gif(record: EpisodeRecord, spec: PoolSpec) -> bytes:
-    config = spec.config
+def _gif(records: Sequence[EpisodeRecord], count: int, spec: PoolSpec) -> dict[str, bytes]:
+    """A GIF of one of the episodes that lasted a step at least, another one for each count, under "gif"."""
+    config, shown = spec.config, [record for record in records if len(record.gc)]
+    if not config.eval.gif or not shown:
+        return {}
+    record = shown[count * 7 % len(shown)]
     frames = render_record(record, spec.hand, spec.objects[record.label.object_id], config.engine, every=6)
-    return gif_bytes(frames, 6 * config.control_period)
+    return {"gif": gif_bytes(frames, 6 * config.control_period)}

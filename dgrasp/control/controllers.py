@@ -18,7 +18,7 @@ from dgrasp.types import Array, GraspGoal, SceneState
 from raisim_like.rotations import rotate_back
 
 HOLD_KP_POSITION = 500.0
-"""N/m of the wrist's translation while it holds or carries the object (ERRATA 14 in docs/deviations.md)."""
+"""N/m of the wrist's translation while it holds or carries the object (docs/deviations.md)."""
 
 
 class Controller(Protocol):

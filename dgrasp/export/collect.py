@@ -12,6 +12,7 @@ from dgrasp.data import DataChoice
 from dgrasp.eval.meshes import build_bodies
 from dgrasp.eval.summary import Result
 from dgrasp.export.sequence import StoredSequence
+from dgrasp.hand.free_skin import SKIN_FILE
 from dgrasp.hand.model import HandModel
 from dgrasp.hand.store import built_hand, is_built_hand
 from dgrasp.hand.surface import mano_of_hand
@@ -36,6 +37,8 @@ def mano_origin(choice: DataChoice, hand: HandModel, config: Config) -> dict[str
     folder = choice.hand_urdf.parent
     if is_built_hand(folder):
         meta = built_hand(folder)[2]
+        if meta["model_file"] == SKIN_FILE:
+            return None
         origin = {"side": meta["side"], "betas": [float(beta) for beta in meta["betas"]]}
     elif hand.id == _AUTHORS_HAND:
         origin = {"side": "right", "betas": []}

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from rich.console import Console
 
+from dgrasp.atomic import write_atomic
 from dgrasp.config import Config, dump_config
 from dgrasp.errors import DataError
 from dgrasp.rl.checkpoint import atomic_write_bytes
@@ -43,7 +44,8 @@ class Log:
 
     Values are logged under TensorBoard tags such as `ppo/kl`. `progress.csv` has one row per epoch, with the
     tags' last parts as columns; its header is that of the first run into the directory. Resuming drops what
-    was logged after the resumed epoch (0: starts anew). Raises `DataError` if the disk does not take it.
+    was logged after the resumed epoch (0: starts anew; resumed_steps: the control steps until then) and describes the
+    run anew. Raises `DataError` if the disk does not take it.
     """
 
     def __init__(
@@ -55,16 +57,22 @@ class Log:
         steps_per_epoch: int,
         last_epoch: int,
         resumed_epoch: int,
+        resumed_steps: int,
         console: Console | None = None,
     ) -> None:
         self._run_dir, self._csv = run_dir, run_dir / CSV_NAME
         self._steps_per_epoch, self._epochs, self._seed = steps_per_epoch, last_epoch, config.seed
+        self._resumed_epoch, self._resumed_steps = resumed_epoch, resumed_steps
         self._evaluated = EVALUATED[config.env.task]
         tags = [RETURN, TERMINATED, TRUNCATED, *(f"reward/{term}" for term in reward_terms)]
         tags += [*(f"ppo/{name}" for name in STATISTICS), STEPS_PER_SECOND, PHYSICS_SHARE, UPDATE_SHARE, LOST_WORKERS]
         columns = [*_FIXED_COLUMNS, *map(_column, [*tags, *self._evaluated])]
         with self._writing():
             rows = _rows_until(self._csv, resumed_epoch) if resumed_epoch else []
+            if resumed_epoch:
+                # What the run was resumed with is what it is from now on.
+                write_description(run_dir, config, data_stamp)
+                self._forget_incidents(resumed_epoch)
             self._columns = list(rows[0]) if rows else columns
             self._seconds_before = float(rows[-1]["seconds"]) if rows else 0.0
             self._core_hours_before = float(rows[-1].get("core_hours") or 0.0) if rows else 0.0
@@ -81,8 +89,8 @@ class Log:
             self._events.flush()
         self._start = time.monotonic()
         self._progress = TrainingProgress(
-            self._epochs * steps_per_epoch,
-            resumed_epoch * steps_per_epoch,
+            resumed_steps + (last_epoch - resumed_epoch) * steps_per_epoch,
+            resumed_steps,
             console=console,
             max_seconds=60.0 * (config.ppo.max_minutes or float("inf")),
         )
@@ -129,7 +137,7 @@ class Log:
         """
         if not incidents:
             return
-        folder, table = self._run_dir / "incidents", self._run_dir / "incidents.csv"
+        folder, table = self._run_dir / "incidents", self._incidents
         with self._writing():
             folder.mkdir(exist_ok=True)
             rows = "" if table.exists() else "epoch,env,label,step\n"
@@ -145,12 +153,24 @@ class Log:
             with open(table, "a", encoding="utf-8") as stream:
                 stream.write(rows)
 
+    @property
+    def _incidents(self) -> Path:
+        return self._run_dir / "incidents.csv"
+
+    def _forget_incidents(self, epoch: int) -> None:
+        """Drop those after an epoch from which a run begins again."""
+        if self._incidents.is_file():
+            header, *rows = self._incidents.read_text(encoding="utf-8").splitlines()
+            kept = [row for row in rows if row.split(",")[0].isdecimal() and int(row.split(",")[0]) <= epoch]
+            write_atomic(self._incidents, "\n".join([header, *kept]) + "\n")
+
     def epoch(self, epoch: int, values: Mapping[str, float], gif: bytes | None = None) -> None:
         """Write the values (tag to number) of a completed epoch, and a GIF of its evaluation.
 
         Epoch 0 is the state before training. Cost counts the workers' cores, whatever they do on them.
         """
-        steps, seconds = epoch * self._steps_per_epoch, time.monotonic() - self._start
+        steps = self._resumed_steps + (epoch - self._resumed_epoch) * self._steps_per_epoch
+        seconds = time.monotonic() - self._start
         core_hours = self._core_hours_before + seconds * values.get(WORKERS, 1.0) / 3600.0
         with self._writing():
             for tag, value in values.items():
@@ -193,6 +213,19 @@ class Log:
                 f"{self._run_dir}: cannot write the log ({error.strerror or error}); the checkpoints there are "
                 "unharmed. Free some space and continue with --resume"
             ) from None
+
+
+def write_description(run_dir: Path, config: Config, data_stamp: Mapping[str, Any]) -> None:
+    """A run directory's config and data stamp."""
+    write_atomic(run_dir / "config.yaml", dump_config(config))
+    write_atomic(run_dir / "data.json", json.dumps(data_stamp, indent=2) + "\n")
+
+
+def steps_made(run_dir: Path, epoch: int) -> int | None:
+    """The control steps of a run until the end of an epoch, by its progress.csv; None if that does not say."""
+    rows = _rows_until(run_dir / CSV_NAME, epoch)
+    known = rows[-1].get("control_steps", "") if rows and int(rows[-1]["epoch"]) == epoch else ""
+    return int(known) if known.isdecimal() else None
 
 
 def _layout(reward_terms: Sequence[str], evaluated: Sequence[str]) -> dict[str, dict[str, list[Any]]]:

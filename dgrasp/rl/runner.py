@@ -18,7 +18,7 @@ from dgrasp.rl import checkpoint as checkpoints
 from dgrasp.rl.checkpoint import Checkpoint
 from dgrasp.rl.interrupts import Preempted, interruptible, uninterruptible
 from dgrasp.rl.lock import only_run
-from dgrasp.rl.log import RETURN, STEPS_PER_SECOND, SUCCESS, TERMINATED, TRUNCATED, UPDATE_SHARE, Log
+from dgrasp.rl.log import RETURN, STEPS_PER_SECOND, SUCCESS, TERMINATED, TRUNCATED, UPDATE_SHARE, Log, steps_made
 from dgrasp.rl.networks import ActorCritic, Policy
 from dgrasp.rl.ppo import Ppo
 from dgrasp.rl.storage import Rollout
@@ -70,10 +70,10 @@ class Runner:
     ) -> None:
         self.env, self.config, self.run_dir, self.evaluate = env, config, run_dir, evaluate
         self.data_stamp = json.loads(json.dumps(data_stamp))
-        ppo, steps = config.ppo, config.learned_steps
-        if steps * env.num_envs < ppo.minibatches:
+        ppo = config.ppo
+        if self._steps_per_epoch < ppo.minibatches:
             raise ConfigError(
-                f"ppo.minibatches: {ppo.minibatches} are more than the {steps * env.num_envs} samples of an epoch"
+                f"ppo.minibatches: {ppo.minibatches} are more than the {self._steps_per_epoch} samples of an epoch"
             )
         self.device = pick_device(config.device)
         self.model = ActorCritic(
@@ -82,7 +82,7 @@ class Runner:
         ).to(self.device)
         self.ppo = Ppo(self.model, ppo)
         self.rollout = Rollout(self.device)
-        self.epoch = 0
+        self.epoch = self._resumed_epoch = self._resumed_steps = 0
         self.best_success: float | None = None
         self._notices: list[str] = []
         if resume:
@@ -177,8 +177,10 @@ class Runner:
     def last_epoch(self) -> int:
         """The last one that `ppo.epochs` and `ppo.max_steps` allow; the first, at least."""
         ppo = self.config.ppo
-        allowed = ppo.epochs if ppo.max_steps is None else max(1, ppo.max_steps // self._steps_per_epoch)
-        return min(ppo.epochs, allowed)
+        if ppo.max_steps is None:
+            return ppo.epochs
+        left = max(0, ppo.max_steps - self._resumed_steps) // self._steps_per_epoch
+        return min(ppo.epochs, max(1, self._resumed_epoch + left))
 
     def _open_log(self) -> Log:
         return Log(
@@ -188,7 +190,8 @@ class Runner:
             self.env.reward_terms,
             self._steps_per_epoch,
             self.last_epoch,
-            self.epoch,
+            self._resumed_epoch,
+            self._resumed_steps,
         )
 
     def _snapshot(self) -> Checkpoint:
@@ -213,9 +216,13 @@ class Runner:
         path = checkpoints.latest(self.run_dir)
         found = checkpoints.load(path)
         checkpoints.restore(found, path, self.model, self.ppo.optimizer)
-        if not self.config.ppo.adaptive_learning_rate:
-            self.ppo.learning_rate = self.config.ppo.learning_rate
-        self.epoch, self.best_success = found.epoch, found.best_success
+        ppo, rate = self.config.ppo, self.ppo.learning_rate
+        within = min(max(rate, ppo.min_learning_rate), ppo.max_learning_rate)
+        self.ppo.learning_rate = within if ppo.adaptive_learning_rate else ppo.learning_rate
+        self.epoch = self._resumed_epoch = found.epoch
+        self.best_success = found.best_success
+        made = steps_made(self.run_dir, found.epoch)
+        self._resumed_steps = found.epoch * self._steps_per_epoch if made is None else made
         self._notices.append(f"resumed after epoch {found.epoch} from {path}")
         for name, there, here in (
             ("config", _flat(found.config), _flat(self.config.model_dump(mode="json"))),

@@ -8,15 +8,18 @@ import signal
 import subprocess
 import sys
 import time
+from types import SimpleNamespace
 
 import pytest
 import torch
 
 from dgrasp.cli import main, run_command
+from dgrasp.config import make_config
 from dgrasp.errors import DataError
 from dgrasp.paths import shipped_root
 from dgrasp.rl import checkpoint
 from dgrasp.test import write_gif
+from dgrasp.train import _gif
 from tests.cli.folder import make_folder
 
 SHORT = [
@@ -86,6 +89,17 @@ def test_a_gif_of_nothing_is_refused(tmp_path):
     with pytest.raises(DataError, match="no episode lasted a single step"):
         write_gif(tmp_path / "g.gif", [], {})
     assert not (tmp_path / "g.gif").exists()
+
+
+def test_an_evaluation_in_training_shows_what_there_is_to_show():
+    spec = SimpleNamespace(config=make_config({}, "test"))
+    assert _gif([SimpleNamespace(gc=())], 1, spec) == {}
+
+
+def test_a_run_is_not_tested_with_other_senses(trained, folder, capsys):
+    words = ["--run", str(trained), "--data", str(folder), "env.scaled_features=true"]
+    assert run_command("test", words) == 2
+    assert "was trained with env.scaled_features=False" in capsys.readouterr().err
 
 
 def test_a_gif_is_written(folder, tmp_path):

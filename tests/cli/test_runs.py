@@ -125,6 +125,10 @@ def test_runs_are_listed_and_compared(tmp_path: Path, capsys: pytest.CaptureFixt
     for name, limits in (("steps", "max_steps: 1099"), ("time", "max_minutes: 0.5")):
         shutil.copytree(tmp_path / "b", tmp_path / name)
         (tmp_path / name / "config.yaml").write_text(f"ppo: {{epochs: 20, {limits}}}\n")
+    # Twice as many labels an epoch since it was resumed: one more epoch of 200 fits.
+    shutil.copytree(tmp_path / "b", tmp_path / "resumed")
+    (tmp_path / "resumed" / "config.yaml").write_text("ppo: {epochs: 20, max_steps: 1499}\n")
+    (tmp_path / "resumed" / "progress.csv").write_text(header + rows + "11,1200,60.0,0.3,-3,\n")
     (tmp_path / "new").mkdir()
     (tmp_path / "new" / "config.yaml").write_text("engine: mujoco\n")
     assert main(["runs", str(tmp_path)]) == 0
@@ -132,8 +136,9 @@ def test_runs_are_listed_and_compared(tmp_path: Path, capsys: pytest.CaptureFixt
     assert lines[1] == ["a", "finished", "free", "train", "pybullet", "all", "20/20", "2,000", "1.00", "0.300", "0.400"]
     assert lines[2] == ["b", "stopped", "free", "train", "pybullet", "all", "10/20", "1,000", "0.25", "0.600", "0.600"]
     assert lines[3] == ["new", "new", "?", "mujoco", "all", "0/10000", "0", "0.00", "-", "-"]
-    assert lines[4][:2] == ["steps", "finished"] and lines[4][6] == "10/10"
-    assert lines[5][:2] == ["time", "finished"] and lines[5][6] == "10/20"
+    assert lines[4][:2] == ["resumed", "stopped"] and lines[4][6] == "11/12"
+    assert lines[5][:2] == ["steps", "finished"] and lines[5][6] == "10/10"
+    assert lines[6][:2] == ["time", "finished"] and lines[6][6] == "10/20"
     # The time was a budget's share, and what it left undone can go on.
     assert read_run(tmp_path / "steps").complete and not read_run(tmp_path / "time").complete
     assert main(["runs", str(tmp_path / "a"), str(tmp_path / "b")]) == 0
@@ -142,6 +147,18 @@ def test_runs_are_listed_and_compared(tmp_path: Path, capsys: pytest.CaptureFixt
     assert ["seed", "1", "2"] in lines
     # Both are compared up to where the shorter one went.
     assert lines[-1] == ["1,000", "0.400", "0.600"]
+
+
+def test_a_run_of_another_version_does_not_hide_the_others(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name, text in (("a", "engine: mujoco\n"), ("b", "gravity: up\n")):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "config.yaml").write_text(text)
+    assert main(["runs", str(tmp_path)]) == 0
+    out = capsys.readouterr().out
+    lines = [line.split() for line in out.splitlines() if line.strip()]
+    assert lines[1][:2] == ["a", "new"] and lines[2] == ["b", "unreadable"] and "gravity: unknown key" in out
 
 
 def test_what_is_not_a_run_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -3,11 +3,15 @@ from __future__ import annotations
 import io
 import json
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 
+from dgrasp.config import make_config
 from dgrasp.errors import DataError
+from dgrasp.export import collect
 from dgrasp.export.arrays import npz_bytes, sequence_arrays
 from dgrasp.hand.mano import read_mano
 from dgrasp.hand.mano_pose import project_pose
@@ -16,6 +20,7 @@ from dgrasp.hand.skinning import axis_angle_rotations, euler_rotations
 from dgrasp.view.meshes import DisplayMeshes
 from tests.export.sequences import STEPS, episode, sequence
 from tests.hand.mano_file import write_mano
+from tests.scenes import free_hand
 
 
 def test_arrays_are_the_recorded_ones() -> None:
@@ -36,6 +41,18 @@ def test_a_hand_that_is_not_manos_says_so() -> None:
         meta = json.loads(str(archive["meta"]))
     assert meta["mano"] == "none: the hand 'free' was not made from a MANO file"
     assert meta["data"]["licence"] == "MIT" and meta["parts"][15] == "thumb_distal"
+
+
+@pytest.mark.parametrize(("file", "expected"), [("free_skin.npz", None), ("MANO_LEFT.pkl", [0.5])])
+def test_a_hand_built_of_the_free_skin_is_not_manos(
+    monkeypatch: pytest.MonkeyPatch, file: str, expected: list[float] | None
+) -> None:
+    meta = {"model_file": file, "side": "left", "betas": [0.5]}
+    monkeypatch.setattr(collect, "is_built_hand", lambda folder: True)
+    monkeypatch.setattr(collect, "built_hand", lambda folder: (Path("hand.urdf"), "hand", meta))
+    choice: Any = SimpleNamespace(hand_urdf=Path("hands/mine/hand.urdf"))
+    found = collect.mano_origin(choice, free_hand(), make_config({}, "test"))
+    assert found == (None if expected is None else {"side": "left", "betas": expected})
 
 
 def test_manos_parameters_pose_manos_mesh_as_the_hand_was(tmp_path: Path) -> None:

@@ -8,12 +8,14 @@ import sys
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from rich.console import Console
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 from tensorboard.plugins.custom_scalar import layout_pb2
 
 from dgrasp.errors import DataError
+from dgrasp.rl.collect import Incident
 from dgrasp.rl.log import Log
 from dgrasp.rl.networks import Policy
 from dgrasp.rl.progress import LINE_INTERVAL_S, TrainingProgress, format_duration
@@ -115,7 +117,7 @@ def test_csv(run_dir: Path) -> None:
 
 
 def _log(run_dir: Path, resumed: int = 0, terms: tuple[str, ...] = ("a",)) -> Log:
-    return Log(run_dir, toy_config(), {}, terms, 80, 3, resumed, _console()[0])
+    return Log(run_dir, toy_config(), {}, terms, 80, 3, resumed, 80 * resumed, _console()[0])
 
 
 def test_resumed_csv_keeps_its_header_and_its_clock(tmp_path: Path) -> None:
@@ -127,6 +129,14 @@ def test_resumed_csv_keeps_its_header_and_its_clock(tmp_path: Path) -> None:
     assert lines[:3] == [header.strip(), "1,80,100.0,-1,2", "2,160,200.0,-1,2"] and len(lines) == 4
     epoch, steps, seconds, value, term = lines[3].split(",")
     assert (epoch, steps, value, term) == ("3", "240", "-0.5", "") and 200.0 <= float(seconds) < 260.0
+
+
+def test_incidents_that_come_again_are_written_once(tmp_path: Path) -> None:
+    (tmp_path / "incidents.csv").write_text("epoch,env,label,step\n2,0,toy/0,5\n3,1,toy/1,4\n")
+    with _log(tmp_path, resumed=2) as log:
+        log.incidents([Incident(1, 3, np.zeros((4, 2)))], ("toy/0", "toy/1"))
+    lines = (tmp_path / "incidents.csv").read_text().splitlines()
+    assert lines == ["epoch,env,label,step", "2,0,toy/0,5", "3,1,toy/1,4"]
 
 
 def test_success_stands_over_its_cost(tmp_path: Path) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import errno
+import json
 import os
 import signal
 from pathlib import Path
@@ -13,7 +14,7 @@ import numpy as np
 import pytest
 import torch
 
-from dgrasp.config import Config
+from dgrasp.config import Config, load_config
 from dgrasp.errors import ConfigError, DataError
 from dgrasp.rl import checkpoint as checkpoints
 from dgrasp.rl.checkpoint import Checkpoint
@@ -117,6 +118,27 @@ def test_control_steps_are_limited(tmp_path: Path) -> None:
     assert _last(tmp_path / "a").epoch == 4
     _run(tmp_path / "b", toy_config(epochs=9, max_steps=1))
     assert _last(tmp_path / "b").epoch == 1
+
+
+def test_control_steps_count_what_was_made_before_a_resume_with_other_epochs(tmp_path: Path) -> None:
+    _run(tmp_path, toy_config(epochs=2))
+    # 14 instead of 10 steps in each of 8 environments: 160 + 2 * 112 of at most 400.
+    config = toy_config(epochs=9, steps=14, max_steps=400)
+    runner = _run(tmp_path, config, resume=True)
+    assert runner.last_epoch == 4
+    assert [row["control_steps"] for row in _rows(tmp_path)][-3:] == ["160", "272", "384"]
+    # What it was resumed with is what the run's files say, and so what a test of it takes.
+    assert load_config(tmp_path / "config.yaml") == config
+    assert json.loads((tmp_path / "data.json").read_text()) == {"hand": "toy"}
+
+
+@pytest.mark.parametrize(("limits", "expected"), [((1e-6, 1e-5), 1e-5), ((1e-2, 1e-1), 1e-2)])
+def test_a_resumed_learning_rate_is_within_its_limits(
+    tmp_path: Path, limits: tuple[float, float], expected: float
+) -> None:
+    _run(tmp_path, toy_config(epochs=1))
+    config = toy_config(min_learning_rate=limits[0], max_learning_rate=limits[1])
+    assert Runner(ToyEnv(), config, tmp_path, {}, None, True).ppo.learning_rate == pytest.approx(expected)
 
 
 def test_resume_tells_what_changed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -278,6 +300,10 @@ def test_truncation_and_termination_reach_the_advantages(tmp_path: Path, monkeyp
 def test_more_minibatches_than_samples_are_refused(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="101 are more than the 80 samples"):
         Runner(ToyEnv(), toy_config(minibatches=101), tmp_path, {})
+    few = toy_config(minibatches=31)
+    few = few.model_copy(update={"labels": few.labels.model_copy(update={"per_epoch": 3})})
+    with pytest.raises(ConfigError, match="31 are more than the 30 samples"):
+        Runner(ToyEnv(), few, tmp_path, {})
 
 
 def test_cuda_that_is_not_there_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
