@@ -39,7 +39,7 @@ class LabelsConfig(Section):
 
 
 class PhysicsConfig(Section):
-    """The simulated world (supplement, section B.1; ERRATA of the authors' code in docs/deviations.md).
+    """The simulated world (supplement, section B.1; docs/deviations.md).
 
     preset: "faithful" is as near to RaiSim as the engine gets; "fast" gives some of that for speed (docs/physics.md).
     test.py takes "faithful" whatever a run trained with, unless physics.preset is typed.
@@ -108,14 +108,12 @@ class HoldConfig(Section):
     """The test's hold as a part of training episodes; first_step: null leaves it out, as in the paper.
 
     The table goes at a step drawn from first_step to last_step, the wrist is held where it is, and the episode
-    ends when the object has dropped by `drop` (m). `env.reward.hold` is paid for every step until then; graded: less of
-    it the further the object has sunk, nothing at `drop`.
+    ends when the object has dropped by `drop` (m). `env.reward.hold` is paid for every step until then.
     """
 
     first_step: Count | None = None
     last_step: Count = 65
     drop: Positive = 0.05
-    graded: bool = False
 
 
 class EnvConfig(Section):
@@ -235,7 +233,7 @@ class EvalConfig(Section):
     """Periodic deterministic evaluation in training, the window of the stability test, and what a test measures.
 
     interpenetration: measure it in a test. mano: the MANO file that the hand was made from, whose skin it is measured
-    on then, instead of the hand's part meshes or collision shapes.
+    on then, instead of the free hand's own skin, or else the hand's part meshes or collision shapes.
     """
 
     every: Count = 25

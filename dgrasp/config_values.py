@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
 from typing import Any
 
 import yaml
@@ -56,6 +57,15 @@ def apply_overrides(values: dict[str, Any], overrides: list[str]) -> dict[str, A
             node = child
         node[leaf] = parse_yaml(text, f"override {item!r}")
     return merged
+
+
+def flat_keys(values: Mapping[Any, Any], prefix: str = "") -> dict[str, Any]:
+    """Nested mappings as one with dotted keys: {"ppo": {"epochs": 6}} as {"ppo.epochs": 6}."""
+    flat: dict[str, Any] = {}
+    for key, value in values.items():
+        name = f"{prefix}{key}"
+        flat |= flat_keys(value, f"{name}.") if isinstance(value, Mapping) else {name: value}
+    return flat
 
 
 def _copy(value: Any) -> Any:

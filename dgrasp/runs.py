@@ -13,6 +13,7 @@ from rich.console import Console
 from rich.table import Table
 
 from dgrasp.config import Config, load_config
+from dgrasp.config_values import flat_keys
 from dgrasp.errors import ConfigError
 from dgrasp.rl.checkpoint import saved
 from dgrasp.rl.lock import is_running
@@ -154,20 +155,13 @@ def _objects(run: Run) -> str:
     return "all" if not names else names[0] if len(names) == 1 else f"{len(names)} of them"
 
 
-def _flat(values: dict[str, Any], prefix: str = "") -> dict[str, Any]:
-    flat: dict[str, Any] = {}
-    for key, value in values.items():
-        flat |= _flat(value, f"{prefix}{key}.") if isinstance(value, dict) else {f"{prefix}{key}": value}
-    return flat
-
-
 def _compare(a: Run, b: Run) -> None:
     table = Table("", a.path.name, b.path.name, box=None)
     table.add_row("state", a.state, b.state)
     table.add_row("data", _data(a), _data(b))
     for name, *values in zip(_COST, _cost(a), _cost(b), strict=True):
         table.add_row(name, *values)
-    one, other = _flat(a.config.model_dump(mode="json")), _flat(b.config.model_dump(mode="json"))
+    one, other = flat_keys(a.config.model_dump(mode="json")), flat_keys(b.config.model_dump(mode="json"))
     for key in sorted(key for key in one if one[key] != other[key]):
         table.add_row(key, str(one[key]), str(other[key]), style="bold")
     _print(table)

@@ -18,7 +18,7 @@ from dgrasp.baselines.static_grasp import StaticGrasp
 from dgrasp.build import build_spec
 from dgrasp.config import Config
 from dgrasp.data import DataChoice, resolve
-from dgrasp.errors import DataError
+from dgrasp.errors import ConfigError, DataError
 from dgrasp.eval import failures, output
 from dgrasp.eval.agreement import find_agreement
 from dgrasp.eval.evaluator import evaluate
@@ -59,6 +59,9 @@ examples:
   python test.py --baseline flat_rl --run runs/flat_rl_1              one policy for all of it; likewise learned_motion
 """
 
+BESIDE_JSON = {".csv": output.write_csv, ".md": output.write_markdown, ".tex": write_latex}
+"""The tables that are written beside the file of --json, by suffix."""
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The options of `test`."""
@@ -75,7 +78,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--budget", type=float, metavar="MINUTES", help="with --table: train what is missing, so long")
     parser.add_argument("--seeds", type=_numbers, default=[], metavar="K,K,...",
                         help="with --table: policies of these seeds, averaged (default: the config's one)")
-    parser.add_argument("--runs", type=Path, default=Path("runs/tables"), metavar="DIR",
+    parser.add_argument("--runs", type=Path, metavar="DIR",
                         help="with --table: where its runs and results are (default: runs/tables)")
     parser.add_argument("--motion", metavar="easy|near|ood|circle|pour|FILE",
                         help="move the object to targets: the authors', own ones, a path, or a file of poses")
@@ -110,9 +113,17 @@ def main(arguments: argparse.Namespace) -> int:
         from dgrasp.tables.command import main as fill_tables  # which evaluates by means of this module
 
         return fill_tables(arguments)
+    given = {"--budget": arguments.budget, "--seeds": arguments.seeds or None, "--runs": arguments.runs}
+    alone = [name for name, value in given.items() if value is not None]
+    if alone:
+        raise ConfigError(f"{', '.join(alone)}: only a table has a use for that; name one, such as --table grasp, or "
+                          f"leave {', '.join(alone)} away")
     for file in (arguments.json, arguments.report, arguments.gif):
         if file is not None and not file.parent.is_dir():
             raise DataError(f"{file}: the folder {file.parent} does not exist")
+    if arguments.json is not None and arguments.json.suffix.lower() in BESIDE_JSON:
+        raise ConfigError(f"--json {arguments.json}: that is where a table goes that is written beside the JSON; "
+                          f"expected a name such as {arguments.json.with_suffix('.json')}")
     if arguments.records is not None:
         check_folder(arguments.records)
     method = method_for(arguments)
@@ -135,9 +146,8 @@ def main(arguments: argparse.Namespace) -> int:
         extra |= failures.report(result.per_label, result.window_s, config.control_period)
     if arguments.json is not None:
         output.write_json(result, arguments.json, extra)
-        output.write_csv(result, arguments.json.with_suffix(".csv"))
-        output.write_markdown(result, arguments.json.with_suffix(".md"))
-        write_latex(result, arguments.json.with_suffix(".tex"))
+        for suffix, write_table in BESIDE_JSON.items():
+            write_table(result, arguments.json.with_suffix(suffix))
     if any(shown is not None for shown in (arguments.report, arguments.records, arguments.gif)):
         meshes = display_meshes(choice, spec)
         if arguments.records is not None:

@@ -7,7 +7,7 @@ angles in radians.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 from numpy.typing import NDArray
@@ -125,8 +125,8 @@ class EpisodeRecord:
     contacts (T, 16), contact_impulse (T, 16) N s per substep, table_contact (T,) bool: states after each
     control step. window_start: index of the first step after the table was taken away.
     dt: control period in s. terminated: why the episode ended early ("" if it did not).
-    reward: (T,). extra: what a method adds. target_T_WO: where the object should be, (4, 4) for a pose or (T, 4, 4)
-    for a path, in episodes that move it.
+    reward: (T,). target_T_WO: where the object should be, (4, 4) for a pose or (T, 4, 4) for a path, in episodes that
+    move it.
     """
 
     label: GraspLabel
@@ -141,5 +141,4 @@ class EpisodeRecord:
     window_start: int
     dt: float
     terminated: str = ""
-    extra: dict[str, Any] = field(default_factory=dict)
     target_T_WO: Array | None = None

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from dgrasp.config import Config, config_keys, dump_config, load_config, make_config
-from dgrasp.config_values import apply_overrides, parse_yaml
+from dgrasp.config_values import apply_overrides, flat_keys, parse_yaml
 from dgrasp.errors import ConfigError
 from dgrasp.paths import cfg_root
 
@@ -84,6 +84,11 @@ def test_files_that_are_no_config(tmp_path: Path, text: str) -> None:
 
 def test_numbers_are_read_as_in_yaml_1_2() -> None:
     assert parse_yaml("[1e-3, 2E5, .5, -1.5e+2]", "x") == [1e-3, 2e5, 0.5, -150.0]
+
+
+def test_nested_values_have_dotted_keys() -> None:
+    assert flat_keys({"a": 1, "b": {"c": [2], "d": {"e": None}}, "f": {}}) == {"a": 1, "b.c": [2], "b.d.e": None}
+    assert list(flat_keys(Config().model_dump(mode="json"))) == config_keys()
 
 
 def test_a_config_cannot_be_changed() -> None:

@@ -5,15 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 
 from dgrasp.config import Config
-from dgrasp.config_sections import EnvConfig
+from dgrasp.config_sections import SENSES, EnvConfig
 from dgrasp.env.features import FeatureLayer
 from dgrasp.errors import ConfigError
 from dgrasp.eval.method import PolicyMethod
 from dgrasp.rl.networks import Policy
 from dgrasp.rl.policies import SavedPolicy, read_policy
-
-SHARED_KEYS = ("features", "goal_space", "scaled_features", "wrist", "action")
-"""Keys of `env` that a frozen policy must find as it was trained with."""
 
 
 class LearnedMotion(PolicyMethod):
@@ -51,7 +48,7 @@ def _check_env(saved: SavedPolicy, env: EnvConfig, path: Path) -> None:
     # The authors' policies were trained with what the defaults are.
     there = saved.env or EnvConfig().model_dump(mode="json")
     here = env.model_dump(mode="json")
-    differ = [key for key in SHARED_KEYS if key in there and there[key] != here[key]]
+    differ = [key for key in SENSES if key in there and there[key] != here[key]]
     if differ:
         listed = "; ".join(f"env.{key} is {there[key]!r} there, {here[key]!r} here" for key in differ)
         raise ConfigError(f"motion.policy: {path} was trained with another config ({listed}); set these keys as there")

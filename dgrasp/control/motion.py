@@ -26,33 +26,29 @@ class MotionSynthesis:
     """T_pd = T_h + beta * (T_g - T_o), recomputed in every control step; the policy keeps the fingers.
 
     The targets are `state.R_WG` and `state.target_pos_W`, which may move. As in the authors' code, beta grows in equal
-    steps, so that the object is not thrown from its rest. Every environment counts its own control steps.
+    steps, so that the object is not thrown from its rest.
     """
 
     carries = True
     kp_position = HOLD_KP_POSITION
 
-    def __init__(self, action: ActionConfig, motion: MotionConfig, n: int, fingers: Array | None = None) -> None:
+    def __init__(self, action: ActionConfig, motion: MotionConfig, fingers: Array | None = None) -> None:
         """fingers: (n, 45) targets to hold the fingers at, instead of the policy's (the baseline "static grasp")."""
         self.sigma = np.zeros(N_DOF)
         if fingers is None:
             self.sigma[6:] = action.sigma_fingers
         self._motion = motion
         self._fingers = None if fingers is None else fingers.copy()
-        self._steps = np.zeros(n)
-
-    def begin(self, rows: Array) -> None:
-        """Some environments begin a motion anew."""
-        self._steps[rows] = 0.0
+        self._steps = 0
 
     def bias(self, state: SceneState, goal: object, out: Array) -> None:
         """Writes q_b into out (N, 51); one call per control step."""
         out[:] = state.gc if self._fingers is None else np.concatenate([state.gc[:, :6], self._fingers], axis=1)
-        m = self._motion
-        beta_position = m.beta_position * np.minimum(1.0, self._steps / m.ramp_position)
-        beta_rotation = m.beta_rotation * np.minimum(1.0, self._steps / m.ramp_rotation)
-        out[:, :6] = wrist_target(state, beta_position, beta_rotation)
-        self._steps += 1.0
+        m, n = self._motion, len(out)
+        beta_position = m.beta_position * min(1.0, self._steps / m.ramp_position)
+        beta_rotation = m.beta_rotation * min(1.0, self._steps / m.ramp_rotation)
+        out[:, :6] = wrist_target(state, np.full(n, beta_position), np.full(n, beta_rotation))
+        self._steps += 1
 
 
 def wrist_target(state: SceneState, beta_position: Array, beta_rotation: Array) -> Array:

@@ -236,7 +236,7 @@ class GraspEnv:
         if fingers != "policy":
             held = np.clip(self._target if fingers == "target" else self.s.gc, *self._limits)[:, 6:]
         env = self.config.env
-        self.control = MotionSynthesis(env.action, self.config.motion, self.num_envs, held)
+        self.control = MotionSynthesis(env.action, self.config.motion, held)
         for i in range(self.num_envs):
             self.worlds.set_gains(i, self.control.kp_position)
 

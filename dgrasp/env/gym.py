@@ -15,7 +15,8 @@ import numpy as np
 from gymnasium.vector import AutoresetMode
 
 from dgrasp.build import build_spec
-from dgrasp.config import Config, load_config
+from dgrasp.config import Config, load_config, make_config
+from dgrasp.config_values import apply_overrides
 from dgrasp.data import resolve
 from dgrasp.errors import ConfigError
 from dgrasp.pool import PoolSpec, make_pool
@@ -30,8 +31,13 @@ ACTION_BOUND = 100.0
 
 
 def _config(cfg: Config | str | Path | None, overrides: list[str] | None, kind: str) -> Config:
-    config = cfg if isinstance(cfg, Config) else load_config(None if cfg is None else Path(cfg), overrides)
-    return config.model_copy(update={"pool": config.pool.model_copy(update={"kind": kind})})
+    if isinstance(cfg, Config):
+        config = make_config(apply_overrides(cfg.model_dump(), overrides or []))
+    else:
+        config = load_config(None if cfg is None else Path(cfg), overrides)
+    # Every sub-environment that was asked for takes part in every episode.
+    labels = config.labels.model_copy(update={"per_epoch": None})
+    return config.model_copy(update={"labels": labels, "pool": config.pool.model_copy(update={"kind": kind})})
 
 
 def _spaces(observation_size: int, action_size: int) -> tuple[gymnasium.spaces.Box, gymnasium.spaces.Box]:
@@ -47,7 +53,8 @@ def _spec(config: Config) -> PoolSpec:
 class GraspGymEnv(gymnasium.Env[Array, Array]):
     """One grasp label as a Gymnasium environment.
 
-    cfg: a `Config`, a YAML file, or None for the defaults; overrides: such as ["labels.objects=[004_sugar_box]"].
+    cfg: a `Config`, a YAML file, or None for the defaults; overrides: laid over it, such as
+    ["labels.objects=[004_sugar_box]"].
     label: index into the chosen labels. Observations are the feature layer's (float32), actions the residual
     (51,), of task motion (6,), dimensionless. `info["reward_terms"]` holds the weighted terms by name.
     """
@@ -100,7 +107,10 @@ class GraspGymEnv(gymnasium.Env[Array, Array]):
 
 
 class GraspVectorEnv(gymnasium.vector.VectorEnv[Array, Array, Array]):
-    """The first `num_envs` labels as a Gymnasium vector environment; ended episodes restart in the same step."""
+    """The first `num_envs` labels as a Gymnasium vector environment; ended episodes restart in the same step.
+
+    All of them take part in every episode: `labels.per_epoch` is for the learner of this package.
+    """
 
     metadata = {"autoreset_mode": AutoresetMode.SAME_STEP}  # noqa: RUF012
 

@@ -41,9 +41,7 @@ class TrainingHold:
         return np.where(held[:, None], self.control.sigma, sigma)
 
     def judge(self, state: SceneState) -> Array:
-        """(N,) bool: who has dropped the object. Writes how well it is held, `state.holding`, 0 to 1."""
-        left = state.object_pos_W[:, 2] - self._drop_height
-        dropped: Array = (state.table_gone > 0) & (left < 0.0)
-        share = np.clip(left / self.config.drop, 0.0, 1.0) if self.config.graded else ~dropped
-        np.multiply(state.table_gone, share, out=state.holding)
+        """(N,) bool: who has dropped the object. Writes who holds it, `state.holding`."""
+        dropped: Array = (state.table_gone > 0) & (state.object_pos_W[:, 2] < self._drop_height)
+        np.multiply(state.table_gone, ~dropped, out=state.holding)
         return dropped

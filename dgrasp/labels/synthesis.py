@@ -5,7 +5,6 @@ All are drawn from the generator that is passed in: the same seed gives the same
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,9 +13,7 @@ from torch import Tensor
 
 from dgrasp.config import Config
 from dgrasp.config_sections import PhysicsConfig
-from dgrasp.env.grasp_env import GraspEnv
 from dgrasp.errors import ConfigError
-from dgrasp.eval.metrics import FALLEN_HEIGHT
 from dgrasp.geometry.distance_grid import distance_grid
 from dgrasp.geometry.intersection import body
 from dgrasp.geometry.shape_mesh import shape_mesh
@@ -38,6 +35,7 @@ from dgrasp.labels.synth_energy import (
 from dgrasp.labels.synth_path import free_starts, orthonormal
 from dgrasp.labels.synth_start import LIFT, Setting, propose, rest_poses
 from dgrasp.labels.synth_torch import ObjectField, TorchHand, tensor
+from dgrasp.labels.synth_trial import gt_pd_holds
 from dgrasp.objects.model import ObjectModel
 from dgrasp.types import Array, GraspLabel, StartPose
 from raisim_like.rotations import transform
@@ -59,7 +57,10 @@ FRICTION = PhysicsConfig().friction
 HOLDING_SHARE = 0.3
 """Share of an object's labels that hold by themselves under gt_pd, where that many are found; 0.3 as in DexYCB."""
 BATCH, _ROUNDS = 96, 6
+"""Hands of a round, and rounds that look for more grasps than were asked for; further ones look for as many."""
 _CHECKED_PER_LABEL = 3.0
+_BARREN, _BARREN_ROUNDS = 0.02, 3
+"""After so many rounds in a row that find less than this share of their hands, no more are made."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,17 +115,8 @@ class Synthesiser:
         Raises `ConfigError` where too few sound grasps are found.
         """
         torch.manual_seed(0)
-        setting = make_setting(model)
         wanted = round(_CHECKED_PER_LABEL * count)
-        found: list[tuple[_Found, list[StartPose]]] = []
-        for _ in range(_ROUNDS):
-            found.append(self._round(setting, rng, batch, iterations))
-            if sum(len(starts) for _, starts in found) >= wanted:
-                break
-        parts, starts = _join([part for part, _ in found]), [one for _, some in found for one in some]
-        if len(starts) < count:
-            raise ConfigError(f"{model.name}: found {len(starts)} sound grasps of {count}; ask for fewer, or change "
-                              "the seed")
+        parts, starts = self._search(make_setting(model), count, wanted, rng, batch, iterations)
         order = _farthest_first(self._features(parts), parts.quality, min(wanted, len(starts)))
         labels = self._labels(model.name, parts.take(order), [starts[i] for i in order])
         held = gt_pd_holds(labels, self.hand, model, config)
@@ -133,6 +125,23 @@ class Synthesiser:
         rows = order[chosen]
         return Synthesised([labels[i] for i in chosen], held[chosen], parts.quality[rows], parts.depth[rows],
                            parts.touching[rows], float(held.mean()))
+
+    def _search(
+        self, setting: Setting, count: int, wanted: int, rng: np.random.Generator, batch: int, iterations: int
+    ) -> tuple[_Found, list[StartPose]]:
+        """The sound grasps of as many rounds as it takes: `wanted` in the first few, or else at least `count`."""
+        rounds: list[tuple[_Found, list[StartPose]]] = []
+        found, barren = 0, 0
+        while found < wanted and (len(rounds) < _ROUNDS or (found < count and barren < _BARREN_ROUNDS)):
+            rounds.append(self._round(setting, rng, batch, iterations))
+            new = len(rounds[-1][1])
+            found, barren = found + new, barren + 1 if new < _BARREN * batch else 0
+        if found < count:
+            raise ConfigError(
+                f"{setting.model.name}: found {found} sound grasps of {count}, next to none in the last {barren} "
+                f"rounds of {batch} hands; ask for fewer, or change the seed"
+            )
+        return _join([part for part, _ in rounds]), [one for _, some in rounds for one in some]
 
     def _round(
         self, setting: Setting, rng: np.random.Generator, batch: int, iterations: int
@@ -215,28 +224,6 @@ def make_setting(model: ObjectModel) -> Setting:
     """The object's collision shapes, united, and their distance field."""
     united = body([shape_mesh(shape) for shape in model.shapes])
     return Setting(model, united, ObjectField(distance_grid(united)))
-
-
-def gt_pd_holds(labels: list[GraspLabel], hand: HandModel, model: ObjectModel, config: Config) -> Array:
-    """(N,) bool: success of the baseline gt_pd: the object stays in the hand for the test's window."""
-    env = GraspEnv(labels, hand, {model.name: model}, config)
-    env.reset(mode="label")
-    still = np.zeros((len(labels), N_DOF))
-    holds = outlasts_window(env, lambda: still)
-    env.close()
-    return holds
-
-
-def outlasts_window(env: GraspEnv, actions: Callable[[], Array]) -> Array:
-    """(N,) bool: who holds the object without a table for the test's window, under actions (N, A) of each step."""
-    for _ in range(round(env.config.eval.window_s / env.config.control_period)):
-        env.step(actions())
-        # What has fallen needs no more physics.
-        env.alive &= ~env.s.table_contact.astype(bool) & (env.s.object_pos_W[:, 2] > FALLEN_HEIGHT)
-    holds = env.alive.copy()
-    # Who was left alone is whole: the next reset need not make its world anew.
-    env.alive[:] = True
-    return holds
 
 
 def order_of_both(held: Array, count: int) -> Array:

@@ -246,6 +246,7 @@ class ProcessPool(SizedPool):
         for w in range(self._workers):
             try:
                 self._receive(w, self._deadline_s)
+                self._members[w].losses = 0
             except WorkerLost as loss:
                 losses.append(str(loss))
                 self._replace(w)

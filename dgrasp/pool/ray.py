@@ -110,9 +110,17 @@ class RayPool(SizedPool):
         self._ours = not ray.is_initialized()
         if self._ours:
             self._connect()
-        workers = self._config.workers or int(ray.cluster_resources().get("CPU", 1))
-        self._workers = max(1, min(workers, self.num_envs))
-        self._rows = [slice(w, self.num_envs, self._workers) for w in range(self._workers)]
+        self._actors: list[Any] = []
+        try:
+            self._workers = self._fitting_workers()
+            self._rows = [slice(w, self.num_envs, self._workers) for w in range(self._workers)]
+            self._remote = ray.remote(num_cpus=1, runtime_env={"env_vars": _ONE_THREAD})(Rollouts)
+            self._spec_ref = ray.put(spec)
+            self._actors = [self._remote.remote(self._spec_ref, rows) for rows in self._rows]
+            self._await_ready()
+        except BaseException:
+            self.close()
+            raise
         self.state = state_views(self.num_envs)
         self._out = StepArrays.allocate(self.num_envs, self.observation_size, len(self.reward_terms))
         self._trajectories: Trajectories | None = None
@@ -121,10 +129,6 @@ class RayPool(SizedPool):
         """Actors that are still busy with an epoch that went on without them, and what they will answer."""
         self._told, self._physics = np.zeros(self._workers), 0.0
         self._start = (time.perf_counter(), 0.0)
-        self._remote = ray.remote(num_cpus=1, runtime_env={"env_vars": _ONE_THREAD})(Rollouts)
-        self._spec_ref = ray.put(spec)
-        self._actors = [self._remote.remote(self._spec_ref, rows) for rows in self._rows]
-        self._await_ready()
 
     def _connect(self) -> None:
         """Join the cluster at `pool.address`, or start one on this machine."""
@@ -143,6 +147,18 @@ class RayPool(SizedPool):
                 f"pool.address: cannot reach a Ray cluster at {address!r} ({error}); expected auto, HOST:PORT, or null "
                 "for one on this machine"
             ) from None
+
+    def _fitting_workers(self) -> int:
+        """How many actors there will be; `ConfigError` if the cluster has fewer CPUs than that."""
+        cpus = int(self._ray.cluster_resources().get("CPU", 0))
+        workers = max(1, min(self._config.workers or cpus, self.num_envs))
+        if workers > cpus:
+            # Those without a CPU would be waited for, for ever.
+            raise ConfigError(
+                f"pool.workers: {workers} actors take a CPU each, and the Ray cluster has {cpus}; expected at most "
+                "that, or null for as many as there are"
+            )
+        return workers
 
     def _await_ready(self) -> None:
         for w in range(self._workers):

@@ -266,11 +266,6 @@ def _optimizer_state(checkpoint: Checkpoint, path: Path, model: ActorCritic) -> 
     return copy.deepcopy(state)
 
 
-def load_policy(path: Path) -> Policy:
-    """The deterministic policy of a checkpoint's file, on the CPU."""
-    return policy_of(load(path))
-
-
 def policy_of(checkpoint: Checkpoint) -> Policy:
     """The deterministic policy of a checkpoint, on the CPU."""
     architecture = checkpoint.architecture

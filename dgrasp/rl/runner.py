@@ -13,6 +13,7 @@ import torch
 
 from dgrasp import __version__
 from dgrasp.config import Config
+from dgrasp.config_values import flat_keys
 from dgrasp.errors import ConfigError
 from dgrasp.rl import checkpoint as checkpoints
 from dgrasp.rl.checkpoint import Checkpoint
@@ -225,8 +226,8 @@ class Runner:
         self._resumed_steps = found.epoch * self._steps_per_epoch if made is None else made
         self._notices.append(f"resumed after epoch {found.epoch} from {path}")
         for name, there, here in (
-            ("config", _flat(found.config), _flat(self.config.model_dump(mode="json"))),
-            ("data", _flat(found.data), _flat(self.data_stamp)),
+            ("config", flat_keys(found.config), flat_keys(self.config.model_dump(mode="json"))),
+            ("data", flat_keys(found.data), flat_keys(self.data_stamp)),
         ):
             changed = [key for key in sorted({*there, *here}) if there.get(key) != here.get(key)]
             if changed:
@@ -235,11 +236,3 @@ class Runner:
 
 def _tagged(group: str, values: Mapping[str, Any]) -> dict[str, float]:
     return {f"{group}/{name}": float(value) for name, value in values.items()}
-
-
-def _flat(values: Mapping[Any, Any], prefix: str = "") -> dict[str, Any]:
-    """Nested mappings as one with dotted keys."""
-    flat: dict[str, Any] = {}
-    for key, value in values.items():
-        flat |= _flat(value, f"{prefix}{key}.") if isinstance(value, dict) else {f"{prefix}{key}": value}
-    return flat

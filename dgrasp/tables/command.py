@@ -5,29 +5,38 @@ from __future__ import annotations
 import argparse
 import json
 import time
+from pathlib import Path
 
 from dgrasp.errors import ConfigError
 from dgrasp.tables.fill import Tables, fill
 from dgrasp.tables.plan import plans
 from dgrasp.tables.show import show, write
 
+RUNS = Path("runs/tables")
+"""Where runs and results are without --runs."""
+_NOT_OF_TABLES = ("baseline", "run", "motion", "split", "labels", "objects", "json", "report", "records", "gif")
+"""Options of test.py that say what one evaluation is of, or where it goes."""
+
 
 def main(arguments: argparse.Namespace) -> int:
     """Fill, print and write the tables that `arguments.table` names."""
-    if arguments.baseline is not None or arguments.run is not None or arguments.motion is not None:
-        raise ConfigError("--table takes its methods from the paper; leave --baseline, --run and --motion away "
-                          "(--policy FILE stands in for the policy of all objects)")
+    refused = [f"--{name}" for name in _NOT_OF_TABLES if getattr(arguments, name) is not None]
+    if refused:
+        raise ConfigError("--table takes methods, labels and targets from the paper and writes NAME.md, NAME.csv and "
+                          f"NAME.json to --runs; leave {', '.join(refused)} away (--policy FILE stands in for the "
+                          "policy of all objects; the key labels.objects=[NAME, ...] narrows rows that name no objects "
+                          "of their own), or leave --table away for one evaluation")
     given = {"data": arguments.data, "engine": arguments.engine, "eval.window_s": arguments.window}
     overrides = [f"{key}={json.dumps(value)}" for key, value in given.items() if value is not None]
     overrides += arguments.overrides
-    root, budget = arguments.runs, arguments.budget
+    root, budget = arguments.runs or RUNS, arguments.budget
     each = [[*overrides, f"seed={seed}"] for seed in dict.fromkeys(arguments.seeds)] or [overrides]
     seeds = [Tables(root, arguments.cfg, words, arguments.policy) for words in each]
     chosen = plans(arguments.table)
     end = None if budget is None else time.monotonic() + 60.0 * budget
     for i, one in enumerate(seeds):
         if end is not None:
-            one.train_missing(chosen, (end - time.monotonic()) / 60.0 / (len(seeds) - i))
+            one.trainings.train_missing(chosen, (end - time.monotonic()) / 60.0 / (len(seeds) - i))
     root.mkdir(parents=True, exist_ok=True)
     for plan in chosen:
         rows = fill(plan, seeds)

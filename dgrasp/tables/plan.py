@@ -25,23 +25,23 @@ _ABLATIONS = {
 
 RECIPE_OBJECTS = ("004_sugar_box", "021_bleach_cleanser")
 RECIPE_METRICS = ("success", "label_distance_mm", "label_angles_deg")
-_FAST = "cfg/fast.yaml"
+FAST = "cfg/fast.yaml"
 _INGREDIENTS = {
-    "fast": ("cfg/fast.yaml", _FAST, ()),
-    "no_hold": ("w/o hold phase", _FAST, ("env.hold.first_step=null", "env.reward.hold=0.0")),
-    "unscaled": ("w/o scaled features", _FAST, ("env.scaled_features=false",)),
-    "blind_critic": ("w/o critic's features", _FAST, ("env.critic_features=false",)),
-    "raw_returns": ("w/o normalised returns", _FAST, ("ppo.normalise_returns=false",)),
-    "clipped_value": ("clipped value loss", _FAST, ("ppo.clipped_value_loss=true",)),
-    "clipped_together": ("gradients clipped together", _FAST, ("ppo.separate_clipping=false",)),
-    "paper_gamma": ("gamma 0.996", _FAST, ("ppo.gamma=0.996",)),
-    "paper_update": ("the paper's updates", _FAST, (
+    "fast": ("cfg/fast.yaml", FAST, ()),
+    "no_hold": ("w/o hold phase", FAST, ("env.hold.first_step=null", "env.reward.hold=0.0")),
+    "unscaled": ("w/o scaled features", FAST, ("env.scaled_features=false",)),
+    "blind_critic": ("w/o critic's features", FAST, ("env.critic_features=false",)),
+    "raw_returns": ("w/o normalised returns", FAST, ("ppo.normalise_returns=false",)),
+    "clipped_value": ("clipped value loss", FAST, ("ppo.clipped_value_loss=true",)),
+    "clipped_together": ("gradients clipped together", FAST, ("ppo.separate_clipping=false",)),
+    "paper_gamma": ("gamma 0.996", FAST, ("ppo.gamma=0.996",)),
+    "paper_update": ("the paper's updates", FAST, (
         "ppo.desired_kl=0.01", "ppo.update_epochs=4", "ppo.minibatches=4", "ppo.advantages_per_minibatch=false",
         "ppo.output_gain=1.4142135623730951")),
-    "paper_network": ("128 x 128", _FAST, ("ppo.hidden=[128, 128]",)),
-    "faithful": ("faithful physics", _FAST, ("physics.preset=faithful",)),
-    "short": ("episodes of 100 steps", _FAST, ("env.episode_steps=100",)),
-    "paper_pose": ("the paper's pose weight", _FAST, ("env.reward.pose=0.1",)),
+    "paper_network": ("128 x 128", FAST, ("ppo.hidden=[128, 128]",)),
+    "faithful": ("faithful physics", FAST, ("physics.preset=faithful",)),
+    "short": ("episodes of 100 steps", FAST, ("env.episode_steps=100",)),
+    "paper_pose": ("the paper's pose weight", FAST, ("env.reward.pose=0.1",)),
     "paper": ("cfg/dexycb.yaml", "cfg/dexycb.yaml", ()),
 }  # fmt: skip
 """One row each: name, config, and what is taken away from it or added."""

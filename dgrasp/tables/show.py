@@ -20,7 +20,7 @@ _TITLES = {"success": ("success", "{:.2f}"), "sim_dist_mm_per_step": ("SimDist m
            "interpenetration_shell_cm3": ("interpen. cm3", "{:.2f}"), "contact_ratio": ("contact ratio", "{:.2f}"),
            "label_distance_mm": ("to label mm", "{:.1f}"), "label_angles_deg": ("to label deg", "{:.1f}"),
            "mpe_m": ("MPE m", "{:.3f}"), "geodesic_rad": ("geodesic rad", "{:.2f}")}  # fmt: skip
-NOT_THE_PAPERS = "* hand or labels are not the paper's: not comparable"
+NOT_THE_PAPERS = "* hand, labels or targets are not the paper's: not comparable"
 
 
 def cells_of(plan: Plan, cells: Cells) -> list[str]:

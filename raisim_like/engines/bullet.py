@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
+from weakref import WeakSet
 
 import numpy as np
 
@@ -69,6 +70,7 @@ class BulletWorld:
             physicsClientId=self.client,
         )
 
+        self._snapshots = WeakSet[BulletSnapshot]()
         self._pending, self._lasting = Pending(), dict[int, Array]()
         self._block = 0
         self.set_block(1)
@@ -101,6 +103,8 @@ class BulletWorld:
 
     def close(self) -> None:
         if self.client >= 0:
+            for snapshot in self._snapshots:
+                snapshot.world_closed()
             p.disconnect(physicsClientId=self.client)
             self.client = -1
 
@@ -234,6 +238,7 @@ class BulletWorld:
 
     def save(self) -> BulletSnapshot:
         snapshot = BulletSnapshot(self.client, set(self.bodies), self.systems, self._block, self._pending.copy())
+        self._snapshots.add(snapshot)
         # What Bullet restores is a little other than what it saved: contacts have fewer points. Going on from
         # what is restored makes this run and those after a restore the same.
         self.restore(snapshot)

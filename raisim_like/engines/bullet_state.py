@@ -26,7 +26,7 @@ class BulletSnapshot:
             uid: {name: value.copy() for name, value in vars(system).items() if isinstance(value, np.ndarray)}
             for uid, system in systems.items()
         }
-        weakref.finalize(self, _forget, client, self.state)
+        self._finalizer = weakref.finalize(self, _forget, client, self.state)
 
     def write_back(self, systems: Mapping[int, ImplicitPd]) -> None:
         """Puts Bullet and the controllers back to where they were."""
@@ -35,8 +35,12 @@ class BulletSnapshot:
             for name, value in arrays.items():
                 getattr(systems[uid], name)[:] = value
 
+    def world_closed(self) -> None:
+        """The state went with its client, whose number, and the state's, another world may get."""
+        self._finalizer.detach()
+
 
 def _forget(client: int, state: int) -> None:
-    # The client may be gone, and with it the state.
+    # The whole process may be ending, and the client with it.
     with suppress(p.error):
         p.removeState(state, physicsClientId=client)

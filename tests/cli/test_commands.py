@@ -85,6 +85,15 @@ def test_objects_option_takes_overrides_behind_it(folder, tmp_path):
     assert result["seed"] == 5 and list(result["per_object"]) == ["004_sugar_box"]
 
 
+@pytest.mark.parametrize("suffix", [".csv", ".md", ".tex", ".TEX"])
+def test_json_is_not_written_where_a_table_goes(folder, tmp_path, capsys, suffix):
+    file = tmp_path / f"o{suffix}"
+    assert run_command("test", ["--baseline", "gt_pd", "--data", str(folder), "--json", str(file)]) == 2
+    message = capsys.readouterr().err
+    assert f"--json {file}" in message and f"such as {tmp_path / 'o.json'}" in message
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_a_gif_of_nothing_is_refused(tmp_path):
     with pytest.raises(DataError, match="no episode lasted a single step"):
         write_gif(tmp_path / "g.gif", [], {})

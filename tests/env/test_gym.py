@@ -10,7 +10,8 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode
 
-import dgrasp.env.gym  # noqa: F401
+from dgrasp.config import load_config
+from dgrasp.env.gym import GraspVectorEnv
 from dgrasp.errors import ConfigError
 
 FREE = ["data=free", "labels.objects=[004_sugar_box]", "env.episode_steps=62"]
@@ -66,3 +67,21 @@ def test_vector_env_restarts_in_the_same_step():
 def test_more_environments_than_labels_are_refused():
     with pytest.raises(ConfigError, match="one environment per label"):
         gymnasium.make_vec("dgrasp/Grasp-v0", num_envs=999, overrides=FREE)
+
+
+def test_all_environments_act_whatever_an_epoch_of_training_draws():
+    venv = GraspVectorEnv(3, overrides=[*FREE, "labels.per_epoch=1"])
+    observation, _ = venv.reset(seed=0)
+    assert observation.any(axis=1).all()
+    for _ in range(62):
+        _, _, _, truncated, _ = venv.step(np.zeros((3, 51), np.float32))
+    assert truncated.all()
+    venv.close()
+
+
+def test_overrides_are_laid_over_a_config_too():
+    venv = GraspVectorEnv(1, cfg=load_config(None, FREE), overrides=["labels.objects=[025_mug]"])
+    assert venv._pool.labels[0].object_id == "025_mug"
+    venv.close()
+    with pytest.raises(ConfigError, match=r"labels\.object: unknown key"):
+        GraspVectorEnv(1, cfg=load_config(None, FREE), overrides=["labels.object=[025_mug]"])

@@ -66,26 +66,6 @@ def test_a_dropped_object_ends_the_episode_and_is_no_incident(env: GraspEnv) -> 
     assert ended.all() and env.events == []
 
 
-def test_a_graded_hold_pays_less_the_further_the_object_has_sunk() -> None:
-    """Objects that fall: 1 - lost / drop of the full pay, with the height when the table went as the start."""
-    env = make(3, [*HOLD, "env.hold.drop=0.2", "env.hold.graded=true"])
-    env.reset(1)
-    flat = np.zeros((3, 51))
-    flat[:, 6:] = -30.0
-    start, paid = np.full(3, np.nan), []
-    for _ in range(12):
-        before, gone = env.s.object_pos_W[:, 2].copy(), env.s.table_gone > 0
-        o = env.step(flat)
-        new = (env.s.table_gone > 0) & ~gone
-        start[new] = before[new]
-        for i in np.flatnonzero((env.s.table_gone > 0) & ~o.terminated):
-            share = np.clip(1.0 - (start[i] - env.s.object_pos_W[i, 2]) / 0.2, 0.0, 1.0)
-            assert o.reward_terms[i, env.reward_terms.index("hold")] == pytest.approx(2.0 * share, abs=1e-6)
-            paid.append(share)
-    assert min(paid) < 0.5 < max(paid)
-    env.close()
-
-
 def test_without_a_hold_the_table_stays() -> None:
     env = make(1, ["env.episode_steps=70"])
     env.reset(1)

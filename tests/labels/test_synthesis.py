@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from dgrasp.cli import run_command
 from dgrasp.config import make_config
+from dgrasp.env.grasp_env import GraspEnv
 from dgrasp.errors import ConfigError
 from dgrasp.geometry.distance_grid import distance_grid
 from dgrasp.geometry.intersection import body
@@ -18,20 +20,21 @@ from dgrasp.geometry.shape_mesh import shape_mesh
 from dgrasp.hand import approximate
 from dgrasp.hand.skeleton import N_PARTS
 from dgrasp.hand.store import open_hand
-from dgrasp.labels import synthesis
+from dgrasp.labels import synth_trial, synthesis
 from dgrasp.labels.distance import HandSpheres, part_poses
 from dgrasp.labels.surfaces import Surfaces
 from dgrasp.labels.synth_energy import Grasps, energies, let_yield, optimise, residual_wrench, unnatural
 from dgrasp.labels.synth_path import free_starts
 from dgrasp.labels.synth_start import Setting, propose
 from dgrasp.labels.synth_torch import ObjectField, TorchHand, tensor
-from dgrasp.labels.synthesis import Synthesiser, gt_pd_holds, order_of_both
+from dgrasp.labels.synth_trial import gt_pd_holds, outlasts_window
+from dgrasp.labels.synthesis import Synthesiser, order_of_both
 from dgrasp.labels.synthesis_report import joint_distances
 from dgrasp.objects.free import free_object
 from dgrasp.objects.inertia import object_model
 from dgrasp.objects.store import load_object
 from dgrasp.scene.scene import TABLE_TOP
-from dgrasp.types import GraspLabel
+from dgrasp.types import Array, GraspLabel
 from raisim_like.shapes import Shape
 from tests.labels.distances import hand_bottom, part_distances
 from tests.objects.meshes import box, save
@@ -198,6 +201,72 @@ def test_an_object_that_no_hand_spans_is_refused(hand: TorchHand) -> None:
     ball = Setting(model, united, ObjectField(distance_grid(united, pitch=0.02)))
     with pytest.raises(ConfigError, match="ball: nowhere thinner than 10 cm"):
         propose(hand, ball, np.eye(4)[None], np.random.default_rng(0))
+
+
+def search(monkeypatch: pytest.MonkeyPatch, hand: TorchHand, setting: Setting, yields: list[int], count: int) -> int:
+    """How many rounds are made for `count` labels where they find so many sound grasps, the last number for ever."""
+    made: list[int] = []
+
+    def some(*_: object) -> tuple[synthesis._Found, list[None]]:
+        n = yields[min(len(made), len(yields) - 1)]
+        made.append(n)
+        grasps = one_hand(hand, 1.0).take(torch.zeros(n, dtype=torch.long))
+        return synthesis._Found(grasps, *(np.zeros((n, 4)) for _ in range(6))), [None] * n
+
+    synthesiser = Synthesiser(free_hand())
+    monkeypatch.setattr(synthesiser, "_round", some)
+    parts, starts = synthesiser._search(setting, count, 3 * count, np.random.default_rng(0), 96, 1)
+    assert len(parts) == len(starts) == sum(made) >= count
+    return len(made)
+
+
+@pytest.mark.parametrize(
+    ("yields", "count", "rounds"),
+    [
+        ([96], 1000, 11),
+        ([25], 1000, 40),
+        ([40], 25, 2),  # three times as many as asked for
+        ([10], 25, 6),  # or else what six rounds find
+        ([0, 0, 0, 0, 0, 25], 25, 6),
+        ([2, 0, 0], 2, 6),
+        ([0, 0, 0, 0, 1, 4, 0, 0, 4, 1, 1, 2, 90], 60, 13),
+    ],
+)
+def test_rounds_go_on_while_they_find_grasps(
+    yields: list[int], count: int, rounds: int, hand: TorchHand, setting: Setting, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert search(monkeypatch, hand, setting, yields, count) == rounds
+
+
+@pytest.mark.parametrize(
+    ("yields", "message"),
+    [
+        ([0, 0, 0, 0, 1, 4, 0, 0, 4, 1, 1, 0, 90], "found 11 sound grasps of 60, next to none in the last 3 rounds"),
+        ([0], "found 0 sound grasps of 60, next to none in the last 6 rounds of 96 hands; ask for fewer"),
+    ],
+)
+def test_three_barren_rounds_are_the_end(
+    yields: list[int], message: str, hand: TorchHand, setting: Setting, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with pytest.raises(ConfigError, match=message):
+        search(monkeypatch, hand, setting, yields, 60)
+
+
+def test_more_grasps_than_one_process_has_worlds_are_tried_in_turns(
+    made: synthesis.Synthesised, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    config, model = make_config({"eval": {"window_s": 0.3}}, "test"), free_object(BRICK, "official", True)
+    together = gt_pd_holds(made.labels, free_hand(), model, config)
+    sizes: list[int] = []
+
+    def counted(env: GraspEnv, actions: Callable[[], Array]) -> Array:
+        sizes.append(env.num_envs)
+        return outlasts_window(env, actions)
+
+    monkeypatch.setattr(synth_trial, "AT_ONCE", 2)
+    monkeypatch.setattr(synth_trial, "outlasts_window", counted)
+    assert gt_pd_holds(made.labels, free_hand(), model, config).tolist() == together.tolist()
+    assert sizes == [2, 1]
 
 
 def test_a_hand_beside_the_object_does_not_hold_it(made: synthesis.Synthesised) -> None:

@@ -132,6 +132,21 @@ def test_a_worker_lost_between_steps_says_so_and_is_there_again(serial):
         pool.close()
 
 
+def test_losses_with_successes_in_between_are_not_in_a_row():
+    """Three of them, as in a long test; what was done in between may be steps alone."""
+    pool = ProcessPool(make_spec(1, ["env.episode_steps=70"]), 1)
+    try:
+        for _ in range(3):
+            pool.reset(3, "test")
+            pool.step(np.zeros((1, 51), np.float32))
+            os.kill(pool._members[0].process.pid, signal.SIGKILL)
+            with pytest.raises(WorkerLost, match="worker 0 died"):
+                pool.remove_table()
+        assert pool.reset(3, "test").any()
+    finally:
+        pool.close()
+
+
 def test_a_worker_that_never_lives_is_given_up(monkeypatch):
     pool = ProcessPool(make_spec(2), 2)
     try:

@@ -15,6 +15,7 @@ import pytest
 from dgrasp.config import load_config
 from dgrasp.errors import ConfigError
 from dgrasp.pool import make_pool
+from dgrasp.pool.ray import RayPool
 from dgrasp.pool.serial import SerialPool
 from dgrasp.rl.collect import Actor
 from dgrasp.rl.runner import Runner
@@ -119,6 +120,36 @@ def test_a_late_actor_is_left_behind_and_comes_back(cluster: str) -> None:
     again = _collected(pool, 4)
     assert again["valid"].all() and np.array_equal(again["reward"], reference["reward"])
     pool.close()
+
+
+def test_more_actors_than_the_cluster_has_cores_are_refused(cluster: str) -> None:
+    with pytest.raises(ConfigError, match=r"pool\.workers: 3 actors take a CPU each, and the Ray cluster has 2"):
+        make_pool(make_spec(3, [*QUICK, "pool.workers=3"]))
+    # One actor per label at most: two of these do not exist.
+    make_pool(make_spec(1, [*QUICK, "pool.workers=3"])).close()
+
+
+def test_a_pool_that_cannot_start_leaves_nothing_behind(cluster: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Not its actors, and not the cluster that it started for itself."""
+    actors: list[Any] = []
+    shut: list[str] = []
+    ready = RayPool._await_ready
+
+    def interrupt(pool: RayPool) -> None:
+        ready(pool)
+        actors.extend(pool._actors)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(RayPool, "_await_ready", interrupt)
+    monkeypatch.setattr(RayPool, "_connect", lambda pool: None)
+    monkeypatch.setattr(ray, "shutdown", lambda: shut.append("shutdown"))
+    with monkeypatch.context() as alone, pytest.raises(KeyboardInterrupt):
+        alone.setattr(ray, "is_initialized", iter([False, *[True] * 1000]).__next__)
+        make_pool(make_spec(2, QUICK))
+    assert shut == ["shutdown"] and len(actors) == 2
+    for actor in actors:
+        with pytest.raises(ray.exceptions.RayActorError):
+            ray.get(actor.process_id.remote(), timeout=60)
 
 
 def test_no_cluster_at_an_address_is_one_error(monkeypatch: pytest.MonkeyPatch) -> None:

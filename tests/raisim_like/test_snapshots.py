@@ -132,3 +132,20 @@ def test_snapshots_may_outlive_their_world(engine: str) -> None:
     world.close()
     del snapshots
     gc.collect()
+
+
+def test_snapshots_of_a_closed_world_leave_later_ones_alone(engine: str) -> None:
+    """A new world gets what numbers the closed one had, of itself and of its states."""
+    closed = World(engine)
+    closed.add_sphere(0.1, 1.0)
+    old = closed.save()
+    closed.close()
+    world = World(engine)
+    ball = world.add_sphere(0.1, 1.0)
+    snapshot = world.save()
+    world.integrate(5)
+    del old, closed
+    gc.collect()
+    world.restore(snapshot)
+    assert ball.position.tolist() == [0.0, 0.0, 0.0]
+    world.close()

@@ -95,7 +95,8 @@ def test_loaded_policy_is_the_mean(tmp_path: Path) -> None:
     path = checkpoints.save(tmp_path, _checkpoint())
     model, _ = _trained()
     observation = np.linspace(-1.0, 1.0, 15, dtype=np.float32).reshape(3, 5)
-    assert np.array_equal(checkpoints.load_policy(path).act(observation), model.policy().act(observation))
+    policy = checkpoints.policy_of(checkpoints.load(path))
+    assert np.array_equal(policy.act(observation), model.policy().act(observation))
 
 
 def test_latest_and_prune_go_by_epoch(tmp_path: Path) -> None:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import shutil
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,10 +15,12 @@ from dgrasp import train
 from dgrasp.cli import run_command
 from dgrasp.config import load_config
 from dgrasp.rl import checkpoint
+from dgrasp.rl.log import write_description
 from dgrasp.tables import plan as plan_module
-from dgrasp.tables.fill import Cells, needed
+from dgrasp.tables.fill import Cells, Found, fill
 from dgrasp.tables.plan import NAMES, Line, Plan, plans
 from dgrasp.tables.show import cells_of, header_of, remarks
+from dgrasp.tables.trainings import Trainings, needed
 from tests.cli.folder import make_folder
 
 SHORT = ["env.episode_steps=6", "env.grasp_steps=3", "physics.substeps=1", "ppo.minibatches=1", "ppo.update_epochs=1",
@@ -30,7 +34,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def _table(name: str, folder: Path, runs: Path, *words: str) -> list[dict[str, Any]]:
-    command = ["--table", name, "--data", str(folder), "--runs", str(runs), *words, *SHORT]
+    command = ["--table", name, "--data", str(folder), "--runs", str(runs), *SHORT, *words]
     assert run_command("test", command) == 0
     content = json.loads((runs / f"{name}.json").read_text())
     assert content["schema"] == 1 and content["table"] == name
@@ -130,7 +134,9 @@ def test_a_budget_trains_what_is_missing_and_an_interruption_goes_on(
     )
     assert [(row["n"], row["missing"]) for row in rows] == [(1, [])] * 5
     (note,) = rows[0]["notes"]
-    assert "no_contact_reward_004_sugar_box: 1 epochs" in note and "env.reward.contact=0.0" in note
+    assert "no_contact_reward_004_sugar_box: 1 epochs" in note and "env.episode_steps=6" in note
+    # What a row is about is no difference from its training.
+    assert "env.reward" not in note and "labels" not in note
     assert checkpoint.saved(tmp_path / "dexycb_pybullet_seed1" / "object_004_sugar_box")
 
 
@@ -138,8 +144,9 @@ def test_seeds_are_trained_apart_and_averaged(
     folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(plan_module, "ABLATION_OBJECTS", ("004_sugar_box",))
+    monkeypatch.setattr(plan_module, "_ABLATIONS", {"ours": ("Ours", ())})
     rows = _table("ablation", folder, tmp_path, "--budget", "10", "--seeds", "3,5")
-    assert [row["n"] for row in rows] == [2] * 5
+    assert [row["n"] for row in rows] == [2]
     for row in rows:
         assert list(row["seeds"]) == ["3", "5"]
         for metric, value in row["values"].items():
@@ -152,6 +159,135 @@ def test_seeds_are_trained_apart_and_averaged(
     assert (baseline["n"], baseline["seeds"]) == (2, {})
 
 
-def test_a_table_takes_no_method(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert run_command("test", ["--table", "grasp", "--baseline", "gt_pd", "--data", str(folder)]) == 2
-    assert "leave --baseline" in capsys.readouterr().err
+@pytest.mark.parametrize("words", [
+    ["--baseline", "gt_pd"], ["--split", "test"], ["--labels", "dexycb"], ["--objects", "004_sugar_box"],
+    ["--json", "x.json"], ["--report", "x.html"], ["--records", "x"], ["--gif", "x.gif"], ["--motion", "near"],
+])  # fmt: skip
+def test_a_table_refuses_what_it_has_no_use_for(
+    words: list[str], folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    runs = tmp_path / "t"
+    assert run_command("test", ["--table", "grasp", "--data", str(folder), "--runs", str(runs), *words]) == 2
+    said = capsys.readouterr().err
+    assert f"leave {words[0]} away" in said and "labels.objects" in said and not runs.exists()
+
+
+def test_all_that_is_refused_is_named_at_once(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run_command("test", ["--table", "grasp", "--json", "x.json", "--split", "test", "--data", str(folder)]) == 2
+    assert "leave --split, --json away" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("words", [["--budget", "5"], ["--seeds", "1,2"], ["--runs", "x"]])
+def test_what_is_of_tables_needs_one(words: list[str], folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run_command("test", ["--baseline", "gt_pd", "--data", str(folder), *words, *SHORT]) == 2
+    said = capsys.readouterr().err
+    assert said.startswith(f"error: {words[0]}: ") and "--table grasp" in said
+
+
+def test_a_key_narrows_a_table_to_objects(folder: Path, tmp_path: Path) -> None:
+    rows = _table("grasp", folder, tmp_path, "labels.objects=[004_sugar_box]")
+    assert [row["n"] for row in rows if row["method"] == "GT+PD" and row["labels"] == "dexycb train"] == [1]
+
+
+def test_a_training_on_other_data_is_neither_evaluated_nor_resumed(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(plan_module, "ABLATION_OBJECTS", ("004_sugar_box",))
+    monkeypatch.setattr(plan_module, "_ABLATIONS", {"ours": ("Ours", ())})
+    runs, other = tmp_path / "runs", make_folder(tmp_path / "other")
+    with open(other / "hand" / "free_hand.urdf", "a", encoding="utf-8") as stream:
+        stream.write("<!-- another hand -->\n")
+    # An end that the budget does not reach: there is always more to train.
+    endless = "ppo.epochs=1000000"
+    (made,) = _table("ablation", folder, runs, "--budget", "0.001", endless)
+    assert made["n"] == 1
+
+    def refuse(*_: Any, **__: Any) -> None:
+        raise AssertionError("resumed on other data")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(train, "train", refuse)
+        (row,) = _table("ablation", other, runs, "--budget", "10", endless)
+    assert (row["values"], row["comparable_with_paper"], row["commands"]) == ({}, False, [])
+    (reason,) = row["missing"]
+    assert "object_004_sugar_box was trained on other data" in reason and "differs in hand_sha256)" in reason
+    assert "--runs" in reason
+    assert _table("ablation", folder, runs, endless)[0]["values"] == made["values"]
+
+
+def test_data_that_is_not_there_leaves_the_row_without_ours(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(plan_module, "ABLATION_OBJECTS", ("004_sugar_box",))
+    monkeypatch.setattr(plan_module, "_ABLATIONS", {"ours": ("Ours", ())})
+    _table("ablation", folder, tmp_path / "runs", "--budget", "10")
+    other = make_folder(tmp_path / "other")
+    (other / "labels" / "free_train.npz").unlink()
+    (row,) = _table("ablation", other, tmp_path / "runs", "--budget", "10")
+    assert row["values"] == {} and "cannot be told" in row["missing"][0] and "no train split" in row["missing"][0]
+
+
+def test_a_learned_motion_keeps_the_grasps_that_it_was_built_on(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(plan_module, "MOTION_OBJECTS", ("004_sugar_box", "005_tomato_soup_can"))
+    (plan,) = plans("motion")
+    learned = replace(plan, lines=tuple(line for line in plan.lines if line.name == "Ours+learned policy"))
+    monkeypatch.setitem(plan_module._PLANS, "motion", lambda: learned)
+    words = ["motion.stable_alone=false", "motion.steps=3", "checkpoint.keep=1"]
+    (row,) = _table("motion", folder, tmp_path, "--budget", "10", *words)
+    assert (row["n"], row["missing"]) == (2, [])
+    (note,) = row["notes"]
+    assert "env.episode_steps=6" in note and "env.task" not in note and "labels" not in note
+    trained = tmp_path / "dexycb_pybullet_seed1"
+    first, own = checkpoint.latest(trained / "all_objects"), trained / "learned_motion" / "grasp.pt"
+    assert own.read_bytes() == first.read_bytes()
+    assert f"motion.policy={json.dumps(str(own))}" in row["commands"][0]
+
+    # As a training by hand names it: the copy is made when a table next looks.
+    config = trained / "learned_motion" / "config.yaml"
+    config.write_text(config.read_text().replace(str(own), str(first)))
+    own.unlink()
+    _table("motion", folder, tmp_path, *words)
+    assert own.read_bytes() == first.read_bytes()
+
+    # More training of the grasps leaves what the motion was trained on.
+    assert run_command("train", ["--resume", str(trained / "all_objects"), "ppo.epochs=2"]) == 0
+    assert not first.exists()
+    shutil.rmtree(trained / "results")
+    (again,) = _table("motion", folder, tmp_path, *words)
+    assert (again["missing"], again["values"]) == ([], row["values"])
+
+
+@pytest.mark.parametrize(("motion", "comparable"), [(None, True), ("easy", True), ("near", False), ("x.csv", False)])
+def test_motions_to_other_targets_than_the_papers_do_not_compare(motion: str | None, comparable: bool) -> None:
+    (plan,) = plans("motion")
+    result = {"method": "policy", "engine": "pybullet", "window_s": 5.0, "seed": 1,
+              "data": {"comparable_with_paper": True}, "cost": {}}  # fmt: skip
+    if motion is not None:
+        result["motion"] = {"targets": motion}
+    rows: list[Any] = [{"object": "004_sugar_box", "index": 0, "mpe_m": 0.1, "geodesic_rad": 0.5}]
+
+    class Given:
+        def find(self, *_: Any) -> Found:
+            return Found(1, rows, [result])
+
+    seeds: Any = [Given()]
+    assert [cells.comparable for cells in fill(plan, seeds)] == [comparable] * 4
+
+
+def test_a_training_as_its_row_asks_for_differs_in_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(plan_module, "ABLATION_OBJECTS", ("004_sugar_box",))
+    trainings = Trainings(tmp_path, Path("cfg/dexycb.yaml"), [], None, print)
+    chosen = {run.key: run for run in needed([*plans("grasp"), *plans("motion"), *plans("ablation"), *plans("recipe")])}
+    for run in chosen.values():
+        recipe = train.find_config(Path(run.cfg or "cfg/dexycb.yaml"))
+        config = load_config(recipe, [*run.overrides, "ppo.max_minutes=1.0"])
+        write_description(trainings.run_dir(run), config, {})
+        assert trainings.about(run) == [f"{run.key}: 0 of {config.ppo.epochs} epochs, 0 control steps, 0.00 core-hours"]
+    for key, said in {"all_objects": "the paper's training in ", "recipe_short": "cfg/fast.yaml in "}.items():
+        folder = trainings.run_dir(chosen[key])
+        config = load_config(folder / "config.yaml", ["labels.objects=[005_tomato_soup_can]", "env.grasp_steps=2"])
+        write_description(folder, config, {})
+        (note,) = trainings.about(chosen[key])
+        assert note.endswith(f"; differs from {said}labels.objects=['005_tomato_soup_can'], env.grasp_steps=2")

@@ -1,0 +1,217 @@
+"""The trainings that tables take: where they are, whether they are of the tables' data, and made within a budget."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import json
+import shlex
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+from dgrasp import train
+from dgrasp.atomic import write_atomic
+from dgrasp.build import frozen_policy
+from dgrasp.config import Config, load_config
+from dgrasp.config_values import flat_keys
+from dgrasp.data import resolve
+from dgrasp.errors import DataError, DGraspError
+from dgrasp.paths import cfg_root
+from dgrasp.rl import checkpoint
+from dgrasp.runs import read_run
+from dgrasp.tables.plan import ALL_OBJECTS, FAST, Plan, Trained, plans
+
+Say = Callable[[str], None]
+_OF_TRAINING = ("env.", "ppo.", "labels.", "physics.preset", "physics.official_compat", "physics.masses")
+"""Keys that make a training another than its row's."""
+_OF_DATA = ("kind", "hand_sha256", "labels_sha256")
+"""Of a data stamp, what makes it other data: a split, other objects of it or its licence's text do not."""
+_GRASP = "grasp"
+"""The name of a run's own copy of the policy that it is built on; its suffix is that policy's."""
+
+
+class Trainings:
+    """The trainings of one recipe, engine and seed in the folder `root`.
+
+    cfg: the recipe of those that name none of their own. overrides: keys for all of them. policy: a file that stands
+    in for the policy of all objects.
+    """
+
+    def __init__(self, root: Path, cfg: Path, overrides: Sequence[str], policy: Path | None, say: Say) -> None:
+        self.root, self.cfg, self.overrides = root, cfg, list(overrides)
+        self.policy, self.say = policy, say
+        self._stamps: dict[Trained, dict[str, Any]] = {}
+
+    def run_dir(self, run: Trained) -> Path:
+        """Where a training is, or will be."""
+        return self.root / run.key
+
+    def words(self, run: Trained) -> list[str]:
+        """Arguments of train.py."""
+        words = ["--cfg", str(run.cfg or self.cfg), "--run", str(self.run_dir(run)), *self.overrides, *run.overrides]
+        return words if run.policy is None else [*words, _motion_policy(self.policy_of(run.policy))]
+
+    def test_words(self, run: Trained) -> list[str]:
+        """Arguments of test.py that name a run's policy."""
+        return ["--policy", str(self.policy)] if self.stands_in(run) else ["--run", str(self.run_dir(run))]
+
+    def policy_of(self, run: Trained) -> Path:
+        """The file of a run's policy as it is now; `DataError` where there is none."""
+        if self.stands_in(run) and self.policy is not None:
+            return self.policy
+        return checkpoint.latest(self.run_dir(run))
+
+    def stands_in(self, run: Trained) -> bool:
+        """Whether the file `policy` is taken for a run."""
+        return run == ALL_OBJECTS and self.policy is not None
+
+    def missing(self, run: Trained) -> str | None:
+        """Why a run's policy cannot be evaluated, and what to do; None where it can."""
+        if self.stands_in(run):
+            return None
+        other = self._other_data(run)
+        if other is not None:
+            return other
+        if checkpoint.saved(self.run_dir(run)):
+            return None
+        before = None if run.policy is None else self.missing(run.policy)
+        if before is not None:
+            return f"{before} and then train {run.key}"
+        return shlex.join(["python", "train.py", *self.words(run)])
+
+    def about(self, run: Trained) -> list[str]:
+        """How far a training came, and what differs from the one that its row asks for."""
+        if self.policy is not None and self.stands_in(run):
+            return [f"the policy of all objects is {self.policy.name}"]
+        made = read_run(self.run_dir(run))
+        # What the paper trained with is the default of every key, but for the baselines, which have files of their own.
+        asked = load_config(None if run.cfg is None else cfg_root() / Path(run.cfg).name, list(run.overrides))
+        there, here = (flat_keys(config.model_dump(mode="json")) for config in (asked, made.config))
+        changed = [f"{key}={here[key]}" for key in here
+                   if key.startswith(_OF_TRAINING) and here[key] != there[key] and not key.startswith("ppo.max_")]
+        cost = f"{made.number('control_steps'):,.0f} control steps, {made.number('core_hours'):.2f} core-hours"
+        end = "" if made.complete else f" of {made.epochs}"
+        whose = FAST if run.cfg == FAST else "the paper's training"
+        return [f"{run.key}: {made.number('epoch'):.0f}{end} epochs, {cost}"
+                + (f"; differs from {whose} in {', '.join(changed)}" if changed else "")]
+
+    def own_grasp(self, run: Trained) -> list[str]:
+        """The override that names a run's own copy of the policy that it is built on; none for a run without.
+
+        Where train.py was told another file, the copy is made now: the run that it is from removes old checkpoints.
+        """
+        folder = self.run_dir(run)
+        if run.policy is None or not checkpoint.saved(folder):
+            return []
+        copies = sorted(folder.glob(f"{_GRASP}.*"))
+        named = Path(str(read_run(folder).config.motion.policy)).expanduser()
+        if not copies and not named.is_file():
+            return []
+        return [_motion_policy(copies[0] if copies else _copy(named, folder))]
+
+    def train_missing(self, chosen: Sequence[Plan], budget_min: float) -> None:
+        """Train what the tables lack in so many minutes, each run with an equal share of what is left of them."""
+        for run in needed(plans("all")):
+            with contextlib.suppress(DGraspError):  # its own row says what is wrong
+                self.own_grasp(run)
+        todo = [run for run in needed(chosen) if self._needs(run) is not None]
+        end = time.monotonic() + 60.0 * budget_min
+        for i, run in enumerate(todo):
+            minutes = max((end - time.monotonic()) / 60.0 / (len(todo) - i), 0.01)
+            limit = f"ppo.max_minutes={minutes:.4f}"
+            try:
+                begins = self._needs(run) == "train"
+                if begins and run.policy is not None and self.missing(run.policy) is not None:
+                    continue
+                self.say(f"training {i + 1} of {len(todo)}: {run.key}, {minutes:.1f} minutes")
+                if begins and run.policy is not None:
+                    self._train_with_own_grasp(run, self.policy_of(run.policy), limit)
+                elif begins:
+                    train.main(_parse([*self.words(run), limit]))
+                else:
+                    train.main(_parse(["--resume", str(self.run_dir(run)), *self.own_grasp(run), limit]))
+            except DGraspError as error:
+                # One table's data may lack what another's has, and a baseline refuse another recipe's policy.
+                self.say(f"{run.key}: {error}")
+
+    def _needs(self, run: Trained) -> str | None:
+        """What is left to do for a run: "train", "resume", or nothing."""
+        if self.stands_in(run):
+            return None
+        folder = self.run_dir(run)
+        if not (folder / "config.yaml").is_file():
+            return "train"
+        made = read_run(folder)
+        # One that ended with its share of an earlier budget goes on.
+        if made.state == "running" or made.complete or self._other_data(run) is not None:
+            return None
+        # What has no checkpoint begins anew, and then with the policy that there is now.
+        return "train" if run.policy is not None and not checkpoint.saved(folder) else "resume"
+
+    def _train_with_own_grasp(self, run: Trained, policy: Path, limit: str) -> None:
+        """Begin a training with a copy, in its folder, of the policy that it is built on."""
+        folder = self.run_dir(run)
+        frozen_policy(self._config(run, _motion_policy(policy)))
+        choice = resolve(self._config(run))
+        print(choice.describe(), flush=True)
+        config = self._config(run, _motion_policy(_copy(policy, folder)), limit)
+        train.start_run(folder, config, choice)
+        train.train(folder, config, choice)
+
+    def _config(self, run: Trained, *more: str) -> Config:
+        """What a run is, or would be, trained with here."""
+        return load_config(train.find_config(Path(run.cfg or self.cfg)), [*self.overrides, *run.overrides, *more])
+
+    def _other_data(self, run: Trained) -> str | None:
+        """Why a run is not of the tables' data; None where it is, or is not there."""
+        folder = self.run_dir(run)
+        if not (folder / "config.yaml").is_file():
+            return None
+        there = read_run(folder).data
+        try:
+            if run not in self._stamps:
+                self._stamps[run] = resolve(self._config(run)).stamp()
+        except DataError as error:
+            return f"{folder}: whether it was trained on this data cannot be told ({error})"
+        here = self._stamps[run]
+        differs = [key for key in _OF_DATA if there.get(key) != here[key]]
+        if not differs:
+            return None
+        return (f"{folder} was trained on other data ({there.get('kind', 'unknown')}, here {here['kind']}; data.json "
+                f"differs in {', '.join(differs)}), so it is neither evaluated nor trained on; give that data with "
+                "--data, or another folder for runs on this one with --runs")
+
+
+def needed(chosen: Sequence[Plan]) -> list[Trained]:
+    """The trainings that tables take, each once, those that others build on first."""
+    found: dict[Trained, None] = {}
+    for plan in chosen:
+        for line in plan.lines:
+            for trial in line.trials:
+                if trial.run is not None:
+                    if trial.run.policy is not None:
+                        found.setdefault(trial.run.policy)
+                    found.setdefault(trial.run)
+    return list(found)
+
+
+def _motion_policy(file: Path) -> str:
+    return f"motion.policy={json.dumps(str(file))}"
+
+
+def _copy(policy: Path, folder: Path) -> Path:
+    copy = folder / f"{_GRASP}{policy.suffix}"
+    try:
+        content = policy.read_bytes()
+    except OSError as error:
+        raise DataError(f"{policy}: cannot read the policy ({error.strerror or error})") from None
+    write_atomic(copy, content)
+    return copy
+
+
+def _parse(words: Sequence[str]) -> argparse.Namespace:
+    parser = argparse.ArgumentParser()
+    train.add_arguments(parser)
+    return parser.parse_intermixed_args(list(words))
