@@ -35,11 +35,14 @@ def _some_hold(labels: list[GraspLabel], hand: HandModel, model: ObjectModel, co
 
 def outlasts_window(env: GraspEnv, actions: Callable[[], Array]) -> Array:
     """(N,) bool: who holds the object without a table for the test's window, under actions (N, A) of each step."""
+    left = np.zeros(env.num_envs, bool)
     for _ in range(round(env.config.eval.window_s / env.config.control_period)):
         env.step(actions())
         # What has fallen needs no more physics.
-        env.alive &= ~env.s.table_contact.astype(bool) & (env.s.object_pos_W[:, 2] > FALLEN_HEIGHT)
+        fallen = env.s.table_contact.astype(bool) | (env.s.object_pos_W[:, 2] <= FALLEN_HEIGHT)
+        left |= env.alive & fallen
+        env.alive &= ~fallen
     holds = env.alive.copy()
-    # Who was left alone is whole: the next reset need not make its world anew.
-    env.alive[:] = True
+    # Who was left alone is whole, unlike who broke: the next reset need not make its world anew.
+    env.alive |= left
     return holds
