@@ -16,7 +16,7 @@ from raisim_like.engines.bullet_pd import HOLD, ImplicitPd, blocks, integrate_wo
 from raisim_like.engines.bullet_shapes import xyzw
 from raisim_like.engines.bullet_state import BulletSnapshot
 from raisim_like.engines.pending import Pending
-from raisim_like.engines.protocol import Array, EngineWorld, Preset
+from raisim_like.engines.protocol import Array, EngineWorld, Preset, engine_steps
 from raisim_like.engines.quiet_pybullet import pybullet as p
 from raisim_like.errors import EngineError
 from raisim_like.material import MaterialTable
@@ -72,30 +72,29 @@ class BulletWorld:
 
         self._snapshots = WeakSet[BulletSnapshot]()
         self._pending, self._lasting = Pending(), dict[int, Array]()
-        self._block = 0
-        self.set_block(1)
+        self._block = 0, 0.0
+        self.set_block(1, timestep)
 
     @property
     def _impulse_per_force(self) -> float:
-        """s. Bullet reports the last substep's impulses divided by the duration of the whole call."""
-        return self._block * self.timestep
+        """s. Bullet reports the impulses of its last step divided by the duration of the whole call."""
+        return self._block[0] * self.timestep
 
-    def set_block(self, steps: int) -> None:
-        """Let Bullet take that many timesteps per call."""
-        if steps != self._block:
-            p.setPhysicsEngineParameter(
-                fixedTimeStep=steps * self.timestep, numSubSteps=steps, physicsClientId=self.client
-            )
-            self._block = steps
+    def set_block(self, steps: int, length: float) -> None:
+        """Let Bullet take that many steps of `length` seconds per call."""
+        if (steps, length) != self._block:
+            p.setPhysicsEngineParameter(fixedTimeStep=steps * length, numSubSteps=steps, physicsClientId=self.client)
+            self._block = steps, length
 
     def bare_step(self, substeps: int) -> float:
         seconds = 0.0
-        for steps in blocks(substeps, self.timestep, HOLD[self.preset]):
+        total, length = engine_steps(substeps, self.timestep, self.preset)
+        for steps in blocks(total, length, HOLD[self.preset]):
             # Bullet forgets torques with every step, and limp fingers would be another problem than a grasp.
             for system in self.systems.values():
                 if system.forces:
                     system.apply()
-            self.set_block(steps)
+            self.set_block(steps, length)
             start = time.perf_counter()
             p.stepSimulation(physicsClientId=self.client)
             seconds += time.perf_counter() - start
@@ -247,7 +246,7 @@ class BulletWorld:
     def restore(self, snapshot: BulletSnapshot) -> None:
         if (set(self.bodies), set(self.systems)) != (snapshot.bodies, set(snapshot.arrays)):
             raise EngineError("bodies have come or gone since the snapshot was taken")
-        self.set_block(snapshot.block)
+        self.set_block(*snapshot.block)
         # Without this, the order of the contacts, and with it rounding, would depend on what came in between.
         self.forget_contacts()
         snapshot.write_back(self.systems)

@@ -13,8 +13,9 @@ that makes it move as the light hand (mass matrix Mr) would under implicit PD:
 With h exact, Mb a = tau + h: the implicit law with every outside force acting on Mh. The observer's lag is
 1 / beta substeps.
 
-Talking to Bullet costs as much as a good part of a substep, so the law runs once per block of `HOLD`
-substeps: it foresees the m accelerations of the block, and one torque, held meanwhile, gives their mean.
+Talking to Bullet costs as much as a good part of a substep, so the law runs once per block of `HOLD` steps of the
+engine: it foresees the m accelerations of the block, and one torque, held meanwhile, gives their mean. In all of
+this dt is the engine's step, which the fast preset makes longer than the world's timestep.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from raisim_like.engines.bullet_mass import axes_of, inverse
-from raisim_like.engines.protocol import Array, Preset
+from raisim_like.engines.protocol import Array, Preset, engine_steps
 from raisim_like.engines.quiet_pybullet import pybullet as p
 from raisim_like.urdf import UrdfModel
 
@@ -35,9 +36,9 @@ if TYPE_CHECKING:
     from raisim_like.engines.bullet import BulletWorld
 
 OBSERVER_GAIN = 0.15
-"""beta per substep. 0.5 went unstable on stiff contacts; a slower observer lets a grip sag."""
-HOLD: dict[Preset, int] = {"faithful": 1, "fast": 4}
-"""Substeps per torque: 4 lose some grasps (docs/physics.md), and 7 lose most."""
+"""beta per timestep. 0.5 went unstable on stiff contacts; a slower observer lets a grip sag."""
+HOLD: dict[Preset, int] = {"faithful": 1, "fast": 2}
+"""Steps of the engine per torque (docs/physics.md)."""
 REFRESH_MOTION = 0.1
 """rad or m that a joint may move before the mass matrices are computed anew; D' outweighs them by far."""
 CHUNK = 8
@@ -68,6 +69,11 @@ class ImplicitPd:
     def set_gains(self, kp: Array, kd: Array) -> None:
         if not (np.array_equal(kp, self.kp) and np.array_equal(kd, self.kd)):
             self.kp[:], self.kd[:] = kp, kd
+            self.q_matrices[:] = np.inf
+
+    def set_timestep(self, timestep: float) -> None:
+        if timestep != self.dt:
+            self.dt = timestep
             self.q_matrices[:] = np.inf
 
     def set_state(self, gc: Array, gv: Array) -> None:
@@ -101,10 +107,13 @@ class ImplicitPd:
 
 
 class _Batch:
-    """Systems of one model, controlled together for one call of `integrate_worlds`."""
+    """Systems of one model, controlled together for one call of `integrate_worlds`.
 
-    def __init__(self, systems: Sequence[ImplicitPd]) -> None:
-        self.systems = systems
+    gain: of the observer, in one of the engine's steps.
+    """
+
+    def __init__(self, systems: Sequence[ImplicitPd], gain: float) -> None:
+        self.systems, self.gain = systems, gain
         self.dt = systems[0].dt
         self.q = np.array([s.q for s in systems])
         self.v = np.array([s.v for s in systems])
@@ -165,7 +174,7 @@ class _Batch:
         surprise /= steps * self.dt
         surprise -= self.wanted
         # With tau = Mb wanted - h, the observer's Mb (v+ - v) / dt - tau - h is Mb times the surprise.
-        self.h += (1.0 - (1.0 - OBSERVER_GAIN) ** steps) * np.matmul(self.Mb, surprise[..., None])[..., 0]
+        self.h += (1.0 - (1.0 - self.gain) ** steps) * np.matmul(self.Mb, surprise[..., None])[..., 0]
 
     def store(self) -> None:
         """Gives the systems their new state."""
@@ -174,20 +183,20 @@ class _Batch:
 
 
 @cache
-def blocks(substeps: int, timestep: float, longest: int) -> tuple[int, ...]:
-    """Lengths of the blocks that make up `substeps`: nearly equal, none longer than `longest`.
+def blocks(steps: int, length: float, longest: int) -> tuple[int, ...]:
+    """How the engine's `steps` of `length` seconds are divided: nearly equal blocks, none longer than `longest`.
 
-    Bullet divides a block's duration by its length; a length is used only where that gives `timestep` back
-    to the last bit, so that no remainder is left over for the next step.
+    Bullet divides a block's duration by its number of steps; a number is used only where that gives `length` back
+    to the last bit, so that no remainder is left over for the next block.
     """
-    exact = [m for m in range(1, longest + 1) if m * timestep / m == timestep and int(m * timestep / timestep) == m]
-    lengths: list[int] = []
-    while substeps:
-        count = -(-substeps // longest)
-        m = max(m for m in exact if m <= -(-substeps // count))
-        lengths.append(m)
-        substeps -= m
-    return tuple(lengths)
+    exact = [m for m in range(1, longest + 1) if m * length / m == length and int(m * length / length) == m]
+    numbers: list[int] = []
+    while steps:
+        count = -(-steps // longest)
+        m = max(m for m in exact if m <= -(-steps // count))
+        numbers.append(m)
+        steps -= m
+    return tuple(numbers)
 
 
 def integrate_worlds(worlds: Sequence[BulletWorld], substeps: int) -> None:
@@ -199,20 +208,24 @@ def integrate_worlds(worlds: Sequence[BulletWorld], substeps: int) -> None:
 
 
 def _integrate_chunk(worlds: Sequence[BulletWorld], substeps: int) -> None:
+    timestep, preset = worlds[0].timestep, worlds[0].preset
+    total, length = engine_steps(substeps, timestep, preset)
     groups: dict[int, list[ImplicitPd]] = {}
     for world in worlds:
         for system in world.systems.values():
+            system.set_timestep(length)
             groups.setdefault(id(system.model), []).append(system)
-    batches = [_Batch(group) for group in groups.values()]
+    gain = OBSERVER_GAIN if length == timestep else 1.0 - (1.0 - OBSERVER_GAIN) ** (length / timestep)
+    batches = [_Batch(group, gain) for group in groups.values()]
     clock = time.perf_counter
-    for steps in blocks(substeps, worlds[0].timestep, HOLD[worlds[0].preset]):
+    for steps in blocks(total, length, HOLD[preset]):
         for batch in batches:
             batch.push(steps)
         for world in worlds:
             # What is said to a world and asked of it stands next to its step, while its memory is in the cache.
             for system in world.systems.values():
                 system.apply()
-            world.set_block(steps)
+            world.set_block(steps, length)
             start = clock()
             p.stepSimulation(physicsClientId=world.client)
             world.step_seconds += clock() - start

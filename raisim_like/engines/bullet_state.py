@@ -18,7 +18,8 @@ class BulletSnapshot:
     """Bullet's own state, kept inside the client until this object goes, and the controllers' arrays."""
 
     def __init__(
-        self, client: int, bodies: set[int], systems: Mapping[int, ImplicitPd], block: int, pending: Pending
+        self, client: int, bodies: set[int], systems: Mapping[int, ImplicitPd], block: tuple[int, float],
+        pending: Pending,
     ) -> None:
         self.bodies, self.block, self.pending = bodies, block, pending
         self.client, self.state = client, int(p.saveState(physicsClientId=client))
@@ -26,12 +27,14 @@ class BulletSnapshot:
             uid: {name: value.copy() for name, value in vars(system).items() if isinstance(value, np.ndarray)}
             for uid, system in systems.items()
         }
+        self.timesteps = {uid: system.dt for uid, system in systems.items()}
         self._finalizer = weakref.finalize(self, _forget, client, self.state)
 
     def write_back(self, systems: Mapping[int, ImplicitPd]) -> None:
         """Puts Bullet and the controllers back to where they were."""
         p.restoreState(stateId=self.state, physicsClientId=self.client)
         for uid, arrays in self.arrays.items():
+            systems[uid].dt = self.timesteps[uid]
             for name, value in arrays.items():
                 getattr(systems[uid], name)[:] = value
 

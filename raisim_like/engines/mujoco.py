@@ -14,10 +14,10 @@ from raisim_like.contact import Contact
 from raisim_like.engines import mujoco_state
 from raisim_like.engines.body_frame import BodyFrame
 from raisim_like.engines.mujoco_contacts import contacts_of, keep_sliding_contacts_closed, pair_forces
-from raisim_like.engines.mujoco_model import STRIDE, BuiltModel, Drive, Item, Solid, System
+from raisim_like.engines.mujoco_model import BuiltModel, Drive, Item, Solid, System
 from raisim_like.engines.pending import Pending
 from raisim_like.engines.picture import Picture
-from raisim_like.engines.protocol import Array, EngineWorld, Preset
+from raisim_like.engines.protocol import Array, EngineWorld, Preset, engine_steps
 from raisim_like.errors import EngineError
 from raisim_like.material import MaterialTable
 from raisim_like.shapes import Shape
@@ -190,8 +190,7 @@ class MujocoWorld:
 
     def _steps(self, substeps: int) -> int:
         """How many steps of the engine make up that many timesteps; they are set to that length."""
-        steps = -(-substeps // STRIDE[self.preset])
-        length = self.timestep * substeps / steps if steps else self.timestep
+        steps, length = engine_steps(substeps, self.timestep, self.preset)
         built = self._ready()
         if built.model.opt.timestep != length:
             built.set_timestep(length)

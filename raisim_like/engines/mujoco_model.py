@@ -22,8 +22,6 @@ from raisim_like.urdf import UrdfModel
 
 CONTACT_MARGIN = 1e-4
 """m. Contacts begin this early; at 0, bodies that lie on each other part and meet in turns."""
-STRIDE = {"faithful": 1, "fast": 2}
-"""Timesteps that one step of the engine takes. Policies hold as many labels at 2, in half the time; at 3 fewer."""
 TOLERANCE = {"faithful": 1e-8, "fast": 1e-3}
 """Of the contact solver; 1e-8 is MuJoCo's. At 1e-3 Newton needs two iterations, not three, and grasps hold as well."""
 IMPEDANCE = 0.9999

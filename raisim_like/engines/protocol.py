@@ -17,6 +17,15 @@ Array = NDArray[Any]
 
 Preset = Literal["faithful", "fast"]
 """Settings of an engine: as near to RaiSim as it gets, or faster where that costs some of it."""
+STRIDE: dict[Preset, int] = {"faithful": 1, "fast": 2}
+"""Timesteps that one step of an engine takes at most (docs/physics.md)."""
+
+
+def engine_steps(substeps: int, timestep: float, preset: Preset) -> tuple[int, float]:
+    """(steps, s): how many equal steps of the engine make up that many timesteps, and how long one is."""
+    steps = -(-substeps // STRIDE[preset])
+    # Multiplied and divided, a timestep would not always come back to the last bit.
+    return steps, timestep if steps == substeps else timestep * substeps / steps
 
 
 class EngineWorld(Protocol):

@@ -86,14 +86,15 @@ def test_blocks_of_the_fast_preset_end_with_the_implicit_law_s_velocity(tmp_path
     system.set_generalized_force(force)
     M, D = light_mass_matrix(system, np.zeros(1))[0], KD + system.model.joint_damping
     q, v = np.zeros(1), np.zeros(1)
+    dt = 13 * DT / 7
     for _ in range(12):
         world.integrate(13)
-        for m in (4, 3, 3, 3):
+        for m in (2, 2, 2, 1):
             x, end = q, v
             for _ in range(m):
-                end = (M * end + DT * (KP * (target - x) + force)) / (M + DT * D + DT**2 * KP)
-                x = x + DT * end
-            q = q + DT * sum(v + (end - v) * j / m for j in range(1, m + 1))
+                end = (M * end + dt * (KP * (target - x) + force)) / (M + dt * D + dt**2 * KP)
+                x = x + dt * end
+            q = q + dt * sum(v + (end - v) * j / m for j in range(1, m + 1))
             v = end
         assert system.generalized_coordinate == pytest.approx(q, abs=1e-11)
         assert system.generalized_velocity == pytest.approx(v, abs=1e-9)
