@@ -27,6 +27,9 @@ from raisim_like.urdf import UrdfModel
 # Engine settings, each measured on grasps of 20 objects (docs/physics.md).
 SOLVER_ITERATIONS = 100
 """Light objects between ten stiff contacts need this many to stop sinking into the fingers."""
+LIGHT, LIGHT_ITERATIONS = 0.05, 500
+"""kg; with a body below it in the world, the solver is given this many. A finger that is driven by the implicit law
+weighs half a kilogram to what it touches, and the solver converges the slower the more the two masses differ."""
 RESIDUAL: dict[Preset, float] = {"faithful": 0.0, "fast": 1e-7}
 """At this change per iteration the solver stops. 1e-7 holds the same grasps as 0, but lets blocks creep on slopes."""
 CONTACT_BREAKING_THRESHOLD = 0.001
@@ -39,8 +42,8 @@ CONTROL_STEP = 13
 class _Body:
     """A rigid body, which Bullet simulates in its inertial frame."""
 
-    def __init__(self, material: str, frame: BodyFrame) -> None:
-        self.material, self.frame = material, frame
+    def __init__(self, material: str, frame: BodyFrame, mass: float) -> None:
+        self.material, self.frame, self.mass = material, frame, mass
 
 
 class BulletWorld:
@@ -55,8 +58,8 @@ class BulletWorld:
         self.bodies: dict[int, _Body] = {}
         self.systems: dict[int, ImplicitPd] = {}
         self._system_material: dict[int, str] = {}
+        self._set_iterations()
         p.setPhysicsEngineParameter(
-            numSolverIterations=SOLVER_ITERATIONS,
             solverResidualThreshold=RESIDUAL[preset],
             enableConeFriction=1,
             # With error reduction, grasps that start inside the object are pushed into holding.
@@ -117,8 +120,15 @@ class BulletWorld:
     ) -> int:
         frame = BodyFrame(com, inertia)
         uid = make_body(self.client, shapes, mass, frame, collision_mask)
-        self.bodies[uid] = _Body(material, frame)
+        self.bodies[uid] = _Body(material, frame, mass)
+        self._set_iterations()
         return uid
+
+    def _set_iterations(self) -> None:
+        light = any(0.0 < body.mass < LIGHT for body in self.bodies.values())
+        p.setPhysicsEngineParameter(
+            numSolverIterations=LIGHT_ITERATIONS if light else SOLVER_ITERATIONS, physicsClientId=self.client
+        )
 
     def remove(self, body: int) -> None:
         p.removeBody(body, physicsClientId=self.client)
@@ -126,6 +136,7 @@ class BulletWorld:
         self.bodies.pop(body, None)
         self.systems.pop(body, None)
         self._system_material.pop(body, None)
+        self._set_iterations()
 
     def apply_materials(self, table: MaterialTable) -> None:
         materials = {uid: body.material for uid, body in self.bodies.items()} | self._system_material
