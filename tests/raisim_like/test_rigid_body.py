@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
+import pybullet
 import pytest
 from scipy.spatial.transform import Rotation
 
@@ -227,3 +228,20 @@ def test_a_compound_of_many_parts_is_one_solid_body(world: World) -> None:
     assert slab.position == pytest.approx([0.0, 0.0, 0.01], abs=1e-3)
     assert slab.rotation[2, 2] == pytest.approx(1.0, abs=1e-4)
     assert sum(c.impulse for c in slab.contacts()) == pytest.approx(0.5 * 9.81 * world.timestep, rel=0.05)
+
+
+def test_bullet_s_solver_works_longer_while_a_light_body_is_in_the_world() -> None:
+    world = World("pybullet", DT)
+
+    def iterations() -> int:
+        client = world.engine_world.client  # type: ignore[attr-defined]
+        return int(pybullet.getPhysicsEngineParameters(client)["numSolverIterations"])
+
+    world.add_ground()
+    world.add_box(0.1, 0.1, 0.1, 0.05)
+    assert iterations() == 100
+    marker = world.add_box(0.02, 0.02, 0.12, 0.0158)
+    assert iterations() == 500
+    world.remove(marker)
+    assert iterations() == 100
+    world.close()
