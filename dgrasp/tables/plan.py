@@ -40,6 +40,7 @@ _INGREDIENTS = {
         "ppo.output_gain=1.4142135623730951")),
     "paper_network": ("128 x 128", FAST, ("ppo.hidden=[128, 128]",)),
     "faithful": ("faithful physics", FAST, ("physics.preset=faithful",)),
+    "large_epochs": ("all labels in each epoch", FAST, ("labels.per_epoch=null",)),
     "short": ("episodes of 100 steps", FAST, ("env.episode_steps=100",)),
     "paper_pose": ("the paper's pose weight", FAST, ("env.reward.pose=0.1",)),
     "paper": ("cfg/dexycb.yaml", "cfg/dexycb.yaml", ()),
