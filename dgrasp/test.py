@@ -21,7 +21,7 @@ from dgrasp.data import DataChoice, resolve
 from dgrasp.errors import ConfigError, DataError
 from dgrasp.eval import failures, output
 from dgrasp.eval.agreement import find_agreement
-from dgrasp.eval.evaluator import evaluate
+from dgrasp.eval.evaluator import evaluate_labels
 from dgrasp.eval.latex import write_latex
 from dgrasp.eval.meshes import build_bodies, build_interpenetration
 from dgrasp.eval.method import Method
@@ -30,7 +30,7 @@ from dgrasp.eval.summary import Result, label_row, summarise
 from dgrasp.export.collect import display_meshes, sequences
 from dgrasp.export.film import record_pictures
 from dgrasp.export.sequence import check_folder, write_folder
-from dgrasp.pool import PoolSpec, make_pool
+from dgrasp.pool import PoolSpec
 from dgrasp.report.page import write_report
 from dgrasp.request import check_task, config_of, method_for
 from dgrasp.rl import checkpoint
@@ -172,13 +172,9 @@ def evaluate_choice(
         took = time.perf_counter() - started
         print(f"{method.name}: {len(labels)} labels corrected in {took:.1f} s", file=sys.stderr)
         spec = replace(spec, labels=labels)
-    pool = make_pool(spec)
-    try:
-        records, cost = evaluate(pool, method, config, config.eval.window_s, _Progress())
-        for event in pool.drain_events():
-            print(f"warning: {event}", file=sys.stderr)
-    finally:
-        pool.close()
+    records, cost, events = evaluate_labels(spec, method, _Progress())
+    for event in events:
+        print(f"warning: {event}", file=sys.stderr)
     window = config.eval.window_s
     rows = [label_row(r, window) if measure is None else label_row(r, window) | measure.measure(r) for r in records]
     result = summarise(

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from dgrasp.config import Config
 from dgrasp.eval.method import Method
-from dgrasp.pool import Pool, WorkerLost
+from dgrasp.pool import Pool, PoolSpec, WorkerLost, make_pool
 from dgrasp.types import Array, EpisodeRecord
 from raisim_like.rotations import transform
 
@@ -76,8 +77,59 @@ class Recorder:
 ATTEMPTS = 3
 """How often an evaluation starts over when a worker is lost on the way."""
 
+AT_ONCE = {"pybullet": 128}
+"""Labels that a test simulates side by side, by engine (others: all): a world of PyBullet takes 29 MB."""
+
 Cost = dict[str, float]
 """control_steps, wall_s, physics_share."""
+
+
+def evaluate_labels(
+    spec: PoolSpec, method: Method, progress: Progress | None = None
+) -> tuple[list[EpisodeRecord], Cost, list[str]]:
+    """`evaluate` for all labels of `spec` with its config's window, in pools made for it; also what the pools report.
+
+    However many labels there are, no more than `AT_ONCE` of them are in memory; the records are the same to the bit.
+    """
+    config, n = spec.config, len(spec.labels)
+    window = config.eval.window_s
+    parts, total = _parts(spec), evaluation_steps(spec, method)
+    records: list[EpisodeRecord] = []
+    costs: list[Cost] = []
+    events: list[str] = []
+    for k in range(parts):
+        pool = make_pool(replace(spec, labels=spec.labels[k * n // parts : (k + 1) * n // parts]))
+        try:
+            made, cost = evaluate(pool, method, config, window, shifted(progress, k * total // parts, total))
+            events += pool.drain_events()
+        finally:
+            pool.close()
+        records += made
+        costs.append(cost)
+    return records, summed(costs), events
+
+
+def _parts(spec: PoolSpec) -> int:
+    n = max(1, len(spec.labels))
+    return -(-n // AT_ONCE.get(spec.config.engine, n))
+
+
+def evaluation_steps(spec: PoolSpec, method: Method) -> int:
+    """How many steps `evaluate_labels` tells its progress in."""
+    return _parts(spec) * (grasp_steps(method, spec.config) + window_steps(spec.config, spec.config.eval.window_s))
+
+
+def shifted(progress: Progress | None, done: int, total: int) -> Progress | None:
+    """Progress of a part, told as progress of the whole."""
+    return None if progress is None else lambda step, _: progress(done + step, total)
+
+
+def summed(costs: Sequence[Cost]) -> Cost:
+    """The cost of several evaluations together."""
+    wall = sum(cost["wall_s"] for cost in costs)
+    physics = sum(cost["wall_s"] * cost["physics_share"] for cost in costs)
+    return {"control_steps": sum(cost["control_steps"] for cost in costs), "wall_s": wall,
+            "physics_share": physics / max(wall, 1e-9)}
 
 
 def evaluate(
@@ -89,7 +141,7 @@ def evaluate(
     (supplement B.3). A baseline that starts in the label's pose begins with the window.
     """
     grasp = grasp_steps(method, config)
-    steps = grasp + max(1, round(window_s / config.control_period))
+    steps = grasp + window_steps(config, window_s)
     # Where an episode starts without a table there is none to take away.
     begin = pool.remove_table if grasp else None
     recorder, cost = run_episodes(pool, method, steps, grasp, begin, progress)
@@ -99,6 +151,11 @@ def evaluate(
 def grasp_steps(method: Method, config: Config) -> int:
     """Control steps until the test begins: none for a method that starts in the label's pose."""
     return 0 if method.mode == "label" else config.env.grasp_steps
+
+
+def window_steps(config: Config, window_s: float) -> int:
+    """Control steps of a window of that many seconds."""
+    return max(1, round(window_s / config.control_period))
 
 
 def run_episodes(

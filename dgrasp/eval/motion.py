@@ -18,7 +18,16 @@ from dgrasp.config import Config
 from dgrasp.data import DataChoice
 from dgrasp.errors import ConfigError, DataError
 from dgrasp.eval import metrics
-from dgrasp.eval.evaluator import Cost, Progress, evaluate, grasp_steps, run_episodes
+from dgrasp.eval.evaluator import (
+    Cost,
+    Progress,
+    evaluate_labels,
+    evaluation_steps,
+    grasp_steps,
+    run_episodes,
+    shifted,
+    summed,
+)
 from dgrasp.eval.method import FrozenGrasp, Method, PolicyMethod
 from dgrasp.eval.summary import Result, Row, summarise
 from dgrasp.motion.files import read_targets
@@ -83,13 +92,13 @@ def run_motions(
     which = draw_targets(len(targets.T), len(spec.labels), per_label, np.random.default_rng(config.seed))
     steps = max(motion.steps, targets.T.shape[1])
     episode = grasp_steps(method, config) + steps
-    test_steps = grasp_steps(method, config) + max(1, round(config.eval.window_s / config.control_period))
+    test_steps = evaluation_steps(spec, method)
     total = len(which) * episode + (test_steps if motion.stable_alone else 0)
     stable, done = np.ones(len(spec.labels), bool), 0
     costs: list[Cost] = []
     events: list[str] = []
     if motion.stable_alone:
-        stable, cost, events = stable_grasps(spec, method, _shifted(progress, 0, total))
+        stable, cost, events = stable_grasps(spec, method, shifted(progress, 0, total))
         costs, done = [cost], test_steps
     spec = dataclasses.replace(spec, labels=[label for label, ok in zip(spec.labels, stable, strict=True) if ok])
     rounds = []
@@ -97,7 +106,7 @@ def run_motions(
     try:
         for row in which[:, stable]:
             path = targets.place(row, spec.labels)
-            records, cost = move(pool, method, config, path, steps, _shifted(progress, done, total))
+            records, cost = move(pool, method, config, path, steps, shifted(progress, done, total))
             rounds.append(records)
             costs.append(cost)
             done += episode
@@ -106,7 +115,7 @@ def run_motions(
         pool.close()
     return Motions(
         [records[i] for i in range(len(spec.labels)) for records in rounds],
-        which[:, stable].T.ravel().tolist(), stable, steps, targets.T.shape[1], _sum(costs), events,
+        which[:, stable].T.ravel().tolist(), stable, steps, targets.T.shape[1], summed(costs), events,
     )  # fmt: skip
 
 
@@ -123,12 +132,7 @@ def stable_grasps(
         method = FrozenGrasp(spec.grasp)
         config = config.model_copy(update={"env": config.env.model_copy(update={"task": "grasp"})})
     assert method is not None
-    pool = make_pool(dataclasses.replace(spec, config=config))
-    try:
-        records, cost = evaluate(pool, method, config, config.eval.window_s, progress)
-        events = pool.drain_events()
-    finally:
-        pool.close()
+    records, cost, events = evaluate_labels(dataclasses.replace(spec, config=config), method, progress)
     stable = np.array([metrics.success(record, config.eval.window_s) for record in records], bool)
     if not stable.any():
         raise DataError(f"none of the {len(stable)} grasps passes the stability test of {config.eval.window_s:g} "
@@ -219,15 +223,3 @@ def check_method(method: Method) -> None:
     if not isinstance(method, (PolicyMethod, StaticGrasp)):
         raise ConfigError(f"--motion: {method.name} holds a pose and moves nothing; expected --policy, --run, or "
                           "--baseline static_grasp")
-
-
-def _shifted(progress: Progress | None, done: int, total: int) -> Progress | None:
-    """Progress of a part, told as progress of the whole."""
-    return None if progress is None else lambda step, _: progress(done + step, total)
-
-
-def _sum(costs: Sequence[Cost]) -> Cost:
-    wall = sum(cost["wall_s"] for cost in costs)
-    physics = sum(cost["wall_s"] * cost["physics_share"] for cost in costs)
-    return {"control_steps": sum(cost["control_steps"] for cost in costs), "wall_s": wall,
-            "physics_share": physics / max(wall, 1e-9)}

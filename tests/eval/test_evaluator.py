@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 
 from dgrasp.baselines import PdBaseline
-from dgrasp.eval.evaluator import UNSTABLE, evaluate
+from dgrasp.eval import evaluator
+from dgrasp.eval.evaluator import UNSTABLE, evaluate, evaluate_labels
 from dgrasp.eval.metrics import success
+from dgrasp.pool import make_pool
 from dgrasp.pool.serial import SerialPool
 from dgrasp.types import Array
 from tests.scenes import make_spec
@@ -73,3 +75,18 @@ def test_an_explosion_cuts_the_record_and_is_a_failure(pool, monkeypatch):
     assert not success(records[0], 0.1) and records[1].terminated == ""
     (event,) = pool.drain_events()
     assert "env 0" in event
+
+
+def test_a_test_of_many_labels_goes_through_them_in_parts_with_the_same_records(monkeypatch):
+    spec = make_spec(5, ["env.grasp_steps=3", "eval.window_s=0.1", "pool.kind=serial"])
+    whole, cost, _ = evaluate_labels(spec, Still())
+    made, said = [], []
+    monkeypatch.setattr(evaluator, "AT_ONCE", {"pybullet": 2})
+    monkeypatch.setattr(evaluator, "make_pool", lambda part: made.append(len(part.labels)) or make_pool(part))
+    records, cost_of_parts, _ = evaluate_labels(spec, Still(), progress=lambda *now: said.append(now))
+    assert made == [1, 2, 2] and said == [(step, 18) for step in range(1, 19)]
+    assert cost_of_parts["control_steps"] == cost["control_steps"] == 5 * 6
+    assert [record.label for record in records] == [record.label for record in whole] == list(spec.labels)
+    for one, other in zip(records, whole, strict=True):
+        assert np.array_equal(one.gc, other.gc) and np.array_equal(one.T_WO, other.T_WO)
+        assert np.array_equal(one.reward, other.reward)
