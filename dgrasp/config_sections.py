@@ -20,7 +20,8 @@ class LabelsConfig(Section):
     """Which grasp labels: a release's split by name, or a file; which objects of it.
 
     objects: names, numbers, or the paper's sets, "unseen_1" to "unseen_6" and "seen_1" to "seen_6" (docs/labels.md).
-    per_epoch: how many of them, drawn anew, make an epoch of training; null takes all.
+    per_epoch: how many of them, drawn anew, make an epoch of training; null takes all. doubles_every: after so many
+    epochs that number doubles, and after as many again it does once more.
     """
 
     source: str = "dexycb"
@@ -28,6 +29,15 @@ class LabelsConfig(Section):
     objects: list[str] = []
     limit_per_object: Count | None = None
     per_epoch: Count | None = None
+    doubles_every: Count | None = None
+
+    def in_epoch(self, epoch: int, total: int) -> int:
+        """How many of `total` labels take part in an epoch; the first one is 1."""
+        if self.per_epoch is None:
+            return total
+        doublings = 0 if self.doubles_every is None else max(0, epoch - 1) // self.doubles_every
+        # Beyond that a number of labels would be one of astronomy.
+        return min(self.per_epoch << min(doublings, 40), total)
 
     @field_validator("objects", mode="before")
     @classmethod

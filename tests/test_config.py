@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from dgrasp.config import Config, config_keys, dump_config, load_config, make_config
+from dgrasp.config_sections import LabelsConfig
 from dgrasp.config_values import apply_overrides, flat_keys, parse_yaml
 from dgrasp.errors import ConfigError
 from dgrasp.paths import cfg_root
@@ -94,3 +95,19 @@ def test_nested_values_have_dotted_keys() -> None:
 def test_a_config_cannot_be_changed() -> None:
     with pytest.raises(ValueError, match="frozen"):
         Config().seed = 3  # type: ignore[misc]
+
+
+@pytest.mark.parametrize(
+    ("labels", "sizes"),
+    [
+        ({}, [100, 100, 100]),
+        ({"per_epoch": 16}, [16, 16, 16]),
+        ({"per_epoch": 16, "doubles_every": 10}, [16, 32, 100]),
+        ({"per_epoch": 160, "doubles_every": 10}, [100, 100, 100]),
+        ({"doubles_every": 10}, [100, 100, 100]),
+    ],
+)
+def test_how_many_labels_take_part_in_an_epoch(labels: dict[str, int], sizes: list[int]) -> None:
+    config = LabelsConfig(**labels)
+    assert [config.in_epoch(epoch, 100) for epoch in (10, 11, 1000)] == sizes
+    assert config.in_epoch(0, 100) == config.in_epoch(1, 100)

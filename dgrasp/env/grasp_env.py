@@ -116,7 +116,7 @@ class GraspEnv:
     def reset(self, epoch: int = 0, mode: Mode = "train") -> Array:
         """Start all episodes; the noise depends on (config.seed, epoch, environment). Returns (N, O)."""
         self.mode = mode
-        count = self.config.labels.per_epoch if mode == "train" else None
+        count = self.config.labels.in_epoch(epoch, self.total) if mode == "train" else self.total
         self.active[:] = taking_part(self.config.seed, epoch, count, self.indices, self.total)
         acting = np.flatnonzero(self.active).tolist()
         # All of them need no copies.

@@ -50,13 +50,13 @@ def with_noise(start: StartPose, noise: NoiseConfig, rng: np.random.Generator) -
     return StartPose(T, start.T_WO, pose)
 
 
-def taking_part(seed: int, epoch: int, count: int | None, indices: Sequence[int], total: int) -> Array:
-    """(N,) bool: which of the labels at `indices` of a set of `total` take part in an epoch of `count` (None: all).
+def taking_part(seed: int, epoch: int, count: int, indices: Sequence[int], total: int) -> Array:
+    """(N,) bool: which of the labels at `indices` of a set of `total` take part in an epoch of `count`.
 
     Every k-th label of the whole set from a start that walks through all, the same draw in every process: labels of an
     object stand side by side, so that each epoch has its share of every object, and all labels take part equally often.
     """
-    if count is None or count >= total:
+    if count >= total:
         return np.ones(len(indices), bool)
     # The spawn key keeps it apart from the environments' own streams.
     first = np.random.default_rng(np.random.SeedSequence([seed], spawn_key=(3,))).random()

@@ -8,7 +8,7 @@ import io
 import json
 import re
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -44,8 +44,8 @@ class Log:
 
     Values are logged under TensorBoard tags such as `ppo/kl`. `progress.csv` has one row per epoch, with the
     tags' last parts as columns; its header is that of the first run into the directory. Resuming drops what
-    was logged after the resumed epoch (0: starts anew; resumed_steps: the control steps until then) and describes the
-    run anew. Raises `DataError` if the disk does not take it.
+    was logged after the resumed epoch (0: starts anew) and describes the run anew. steps_after: the control steps of
+    the whole run when an epoch, from the resumed one on, is complete. Raises `DataError` if the disk does not take it.
     """
 
     def __init__(
@@ -54,15 +54,13 @@ class Log:
         config: Config,
         data_stamp: Mapping[str, Any],
         reward_terms: Sequence[str],
-        steps_per_epoch: int,
+        steps_after: Callable[[int], int],
         last_epoch: int,
         resumed_epoch: int,
-        resumed_steps: int,
         console: Console | None = None,
     ) -> None:
         self._run_dir, self._csv = run_dir, run_dir / CSV_NAME
-        self._steps_per_epoch, self._epochs, self._seed = steps_per_epoch, last_epoch, config.seed
-        self._resumed_epoch, self._resumed_steps = resumed_epoch, resumed_steps
+        self._steps_after, self._epochs, self._seed = steps_after, last_epoch, config.seed
         self._evaluated = EVALUATED[config.env.task]
         tags = [RETURN, TERMINATED, TRUNCATED, *(f"reward/{term}" for term in reward_terms)]
         tags += [*(f"ppo/{name}" for name in STATISTICS), STEPS_PER_SECOND, PHYSICS_SHARE, UPDATE_SHARE, LOST_WORKERS]
@@ -89,8 +87,8 @@ class Log:
             self._events.flush()
         self._start = time.monotonic()
         self._progress = TrainingProgress(
-            resumed_steps + (last_epoch - resumed_epoch) * steps_per_epoch,
-            resumed_steps,
+            steps_after(last_epoch),
+            steps_after(resumed_epoch),
             console=console,
             max_seconds=60.0 * (config.ppo.max_minutes or float("inf")),
         )
@@ -169,7 +167,7 @@ class Log:
 
         Epoch 0 is the state before training. Cost counts the workers' cores, whatever they do on them.
         """
-        steps = self._resumed_steps + (epoch - self._resumed_epoch) * self._steps_per_epoch
+        steps = self._steps_after(epoch)
         seconds = time.monotonic() - self._start
         core_hours = self._core_hours_before + seconds * values.get(WORKERS, 1.0) / 3600.0
         with self._writing():

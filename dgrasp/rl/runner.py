@@ -72,9 +72,9 @@ class Runner:
         self.env, self.config, self.run_dir, self.evaluate = env, config, run_dir, evaluate
         self.data_stamp = json.loads(json.dumps(data_stamp))
         ppo = config.ppo
-        if self._steps_per_epoch < ppo.minibatches:
+        if self._steps_in(1) < ppo.minibatches:
             raise ConfigError(
-                f"ppo.minibatches: {ppo.minibatches} are more than the {self._steps_per_epoch} samples of an epoch"
+                f"ppo.minibatches: {ppo.minibatches} are more than the {self._steps_in(1)} samples of an epoch"
             )
         self.device = pick_device(config.device)
         self.model = ActorCritic(
@@ -118,7 +118,7 @@ class Runner:
             rewards = self._collect(epoch, log)
             collected = time.monotonic()
             statistics = self.ppo.update(self.rollout, generator)
-            speed = self._speed(collected - started, time.monotonic() - collected)
+            speed = self._speed(epoch, collected - started, time.monotonic() - collected)
             last = epoch == last_epoch or time.monotonic() > deadline
             self._complete(epoch, {**rewards, **_tagged("ppo", statistics), **speed}, log, last)
             if epoch % self.config.checkpoint.every == 0 or last:
@@ -147,9 +147,9 @@ class Runner:
         terms = trajectories.reward_terms.mean(axis=0, dtype=np.float64)
         return values | _tagged("reward", dict(zip(env.reward_terms, terms, strict=True)))
 
-    def _speed(self, collect_s: float, update_s: float) -> dict[str, float]:
+    def _speed(self, epoch: int, collect_s: float, update_s: float) -> dict[str, float]:
         seconds = collect_s + update_s
-        own = {STEPS_PER_SECOND: self._steps_per_epoch / seconds, UPDATE_SHARE: update_s / seconds}
+        own = {STEPS_PER_SECOND: self._steps_in(epoch) / seconds, UPDATE_SHARE: update_s / seconds}
         return {**_tagged("speed", self.env.timing()), **own}
 
     def _complete(self, epoch: int, values: dict[str, float], log: Log, last: bool = False) -> None:
@@ -169,19 +169,24 @@ class Runner:
         if best:
             checkpoints.save_best(self.run_dir, self._completed)
 
-    @property
-    def _steps_per_epoch(self) -> int:
-        taking_part = min(self.env.num_envs, self.config.labels.per_epoch or self.env.num_envs)
-        return self.config.learned_steps * taking_part
+    def _steps_in(self, epoch: int) -> int:
+        """Control steps of an epoch."""
+        return self.config.learned_steps * self.config.labels.in_epoch(epoch, self.env.num_envs)
+
+    def _steps_after(self, epoch: int) -> int:
+        """Control steps of the whole run when an epoch is complete, not before the one that it was resumed after."""
+        return self._resumed_steps + sum(map(self._steps_in, range(self._resumed_epoch + 1, epoch + 1)))
 
     @property
     def last_epoch(self) -> int:
         """The last one that `ppo.epochs` and `ppo.max_steps` allow; the first, at least."""
-        ppo = self.config.ppo
+        ppo, last = self.config.ppo, self._resumed_epoch
         if ppo.max_steps is None:
             return ppo.epochs
-        left = max(0, ppo.max_steps - self._resumed_steps) // self._steps_per_epoch
-        return min(ppo.epochs, max(1, self._resumed_epoch + left))
+        steps = self._resumed_steps
+        while last < ppo.epochs and (steps := steps + self._steps_in(last + 1)) <= ppo.max_steps:
+            last += 1
+        return min(ppo.epochs, max(1, last))
 
     def _open_log(self) -> Log:
         return Log(
@@ -189,10 +194,9 @@ class Runner:
             self.config,
             self.data_stamp,
             self.env.reward_terms,
-            self._steps_per_epoch,
+            self._steps_after,
             self.last_epoch,
             self._resumed_epoch,
-            self._resumed_steps,
         )
 
     def _snapshot(self) -> Checkpoint:
@@ -223,7 +227,7 @@ class Runner:
         self.epoch = self._resumed_epoch = found.epoch
         self.best_success = found.best_success
         made = steps_made(self.run_dir, found.epoch)
-        self._resumed_steps = found.epoch * self._steps_per_epoch if made is None else made
+        self._resumed_steps = sum(map(self._steps_in, range(1, found.epoch + 1))) if made is None else made
         self._notices.append(f"resumed after epoch {found.epoch} from {path}")
         for name, there, here in (
             ("config", flat_keys(found.config), flat_keys(self.config.model_dump(mode="json"))),

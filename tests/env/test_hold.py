@@ -99,7 +99,12 @@ def test_the_same_labels_are_drawn_however_the_set_is_divided() -> None:
                          (out.reward_terms, other.reward_terms)):
         assert np.array_equal(mine[whole.active], theirs[whole.active]) and not mine[~whole.active].any()
     everyone.close()
-    # A test takes all of them.
+    # A test takes all of them, and so does an epoch that has grown to them.
+    whole.config = make_spec(4, ["labels.per_epoch=3", "labels.doubles_every=2", "env.episode_steps=70"]).config
+    whole.reset(2)
+    assert whole.active.sum() == 3
+    whole.reset(3)
+    assert whole.active.all()
     whole.reset(0, "test")
     assert whole.active.all()
     whole.close()

@@ -117,7 +117,7 @@ def test_csv(run_dir: Path) -> None:
 
 
 def _log(run_dir: Path, resumed: int = 0, terms: tuple[str, ...] = ("a",)) -> Log:
-    return Log(run_dir, toy_config(), {}, terms, 80, 3, resumed, 80 * resumed, _console()[0])
+    return Log(run_dir, toy_config(), {}, terms, lambda epoch: 80 * epoch, 3, resumed, _console()[0])
 
 
 def test_resumed_csv_keeps_its_header_and_its_clock(tmp_path: Path) -> None:

@@ -297,6 +297,24 @@ def test_truncation_and_termination_reach_the_advantages(tmp_path: Path, monkeyp
     assert seen["got"].tolist() == pytest.approx([0.0, 0.9 * seen["final"].item(), 0.9 * seen["next"].item()], abs=1e-6)
 
 
+def test_epochs_that_grow_are_counted_as_they_are(tmp_path: Path) -> None:
+    # Epochs of 2, 2, 4, 4 and all 8 labels, 10 control steps each.
+    labels = {"per_epoch": 2, "doubles_every": 2}
+    base = toy_config(epochs=5)
+    config = base.model_copy(update={"labels": base.labels.model_copy(update=labels)})
+    _run(tmp_path / "a", config)
+    assert [row["control_steps"] for row in _rows(tmp_path / "a")] == ["20", "40", "80", "120", "200"]
+    limited = config.model_copy(update={"ppo": config.ppo.model_copy(update={"max_steps": 199})})
+    _run(tmp_path / "b", limited)
+    assert _last(tmp_path / "b").epoch == 4
+    _run(tmp_path / "b", config, resume=True)
+    assert [row["control_steps"] for row in _rows(tmp_path / "b")] == ["20", "40", "80", "120", "200"]
+    _assert_same(_last(tmp_path / "a"), _last(tmp_path / "b"))
+    # What an older version wrote no log of is counted from the config.
+    (tmp_path / "b" / "progress.csv").unlink()
+    assert Runner(ToyEnv(), config, tmp_path / "b", {"hand": "toy"}, None, True)._resumed_steps == 200
+
+
 def test_more_minibatches_than_samples_are_refused(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="101 are more than the 80 samples"):
         Runner(ToyEnv(), toy_config(minibatches=101), tmp_path, {})
