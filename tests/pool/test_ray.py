@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import os
 import signal
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -149,7 +150,10 @@ def test_a_pool_that_cannot_start_leaves_nothing_behind(cluster: str, monkeypatc
     assert shut == ["shutdown"] and len(actors) == 2
     for actor in actors:
         with pytest.raises(ray.exceptions.RayActorError):
-            ray.get(actor.process_id.remote(), timeout=60)
+            # Ray ends an actor in its own time; until then it answers.
+            for _ in range(600):
+                ray.get(actor.process_id.remote(), timeout=60)
+                time.sleep(0.1)
 
 
 def test_no_cluster_at_an_address_is_one_error(monkeypatch: pytest.MonkeyPatch) -> None:
