@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import csv
 import errno
-import json
 import os
 import signal
 from pathlib import Path
@@ -14,38 +12,14 @@ import numpy as np
 import pytest
 import torch
 
-from dgrasp.config import Config, load_config
 from dgrasp.errors import ConfigError, DataError
 from dgrasp.rl import checkpoint as checkpoints
-from dgrasp.rl.checkpoint import Checkpoint
 from dgrasp.rl.networks import Policy
-from dgrasp.rl.runner import Evaluate, Interrupted, Runner, epoch_generator
-from tests.rl.toy import ToyEnv, toy_config
+from dgrasp.rl.runner import Interrupted, Runner, epoch_generator
+from tests.rl.toy import ToyEnv, assert_same, last, rows_of, run, toy_config
 
 TIMES = ("seconds", "core_hours", "steps_per_second", "update_share")
 """What a log holds that differs from run to run."""
-
-
-def _run(run_dir: Path, config: Config, resume: bool = False, evaluate: Evaluate | None = None, **env: Any) -> Runner:
-    runner = Runner(ToyEnv(**env), config, run_dir, {"hand": "toy"}, evaluate, resume)
-    runner.learn()
-    return runner
-
-
-def _last(run_dir: Path) -> Checkpoint:
-    return checkpoints.load(checkpoints.latest(run_dir))
-
-
-def _assert_same(a: Checkpoint, b: Checkpoint) -> None:
-    assert a.epoch == b.epoch and a.learning_rate == b.learning_rate and a.best_success == b.best_success
-    assert all(torch.equal(a.model[name], b.model[name]) for name in a.model)
-    for index, moments in a.optimizer["state"].items():
-        assert all(torch.equal(moments[name], b.optimizer["state"][index][name]) for name in moments)
-
-
-def _rows(run_dir: Path) -> list[dict[str, str]]:
-    with open(run_dir / "progress.csv", newline="") as stream:
-        return list(csv.DictReader(stream))
 
 
 def _success(policy: Policy) -> dict[str, Any]:
@@ -58,91 +32,69 @@ def test_it_learns(tmp_path: Path) -> None:
     # Standing still costs about 2 dimensions * mean |target| 0.5 = 1 per step, 20 per epoch of 20 steps; a
     # good policy is at the target after the first of 7 to 10 steps of each episode.
     config = toy_config(epochs=30, steps=20, every=30, gamma=0.9, update_epochs=4, minibatches=4)
-    _run(tmp_path, config, num_envs=32, episode_steps=10)
-    returns = [float(row["return"]) for row in _rows(tmp_path)]
+    run(tmp_path, config, num_envs=32, episode_steps=10)
+    returns = [float(row["return"]) for row in rows_of(tmp_path)]
     assert np.mean(returns[-3:]) > 0.5 * np.mean(returns[:3]) and np.mean(returns[:3]) < -10.0
 
 
 def test_a_seeded_run_repeats_to_the_bit(tmp_path: Path) -> None:
     torch.manual_seed(1)
-    _run(tmp_path / "a", toy_config(seed=3))
+    run(tmp_path / "a", toy_config(seed=3))
     torch.manual_seed(2)
     np.random.default_rng().random()
-    _run(tmp_path / "b", toy_config(seed=3))
-    _run(tmp_path / "c", toy_config(seed=4))
-    _assert_same(_last(tmp_path / "a"), _last(tmp_path / "b"))
-    columns = [name for name in _rows(tmp_path / "a")[0] if name not in TIMES]
-    for a, b in zip(_rows(tmp_path / "a"), _rows(tmp_path / "b"), strict=True):
+    run(tmp_path / "b", toy_config(seed=3))
+    run(tmp_path / "c", toy_config(seed=4))
+    assert_same(last(tmp_path / "a"), last(tmp_path / "b"))
+    columns = [name for name in rows_of(tmp_path / "a")[0] if name not in TIMES]
+    for a, b in zip(rows_of(tmp_path / "a"), rows_of(tmp_path / "b"), strict=True):
         assert [a[name] for name in columns] == [b[name] for name in columns]
-    assert not torch.equal(_last(tmp_path / "a").model["actor.0.weight"], _last(tmp_path / "c").model["actor.0.weight"])
+    assert not torch.equal(last(tmp_path / "a").model["actor.0.weight"], last(tmp_path / "c").model["actor.0.weight"])
 
 
 def test_resume_is_the_straight_run_to_the_bit(tmp_path: Path) -> None:
-    _run(tmp_path / "straight", toy_config(epochs=6), evaluate=_success)
-    _run(tmp_path / "parts", toy_config(epochs=4), evaluate=_success)
-    assert _last(tmp_path / "parts").epoch == 4
-    runner = _run(tmp_path / "parts", toy_config(epochs=6), resume=True, evaluate=_success)
+    run(tmp_path / "straight", toy_config(epochs=6), evaluate=_success)
+    run(tmp_path / "parts", toy_config(epochs=4), evaluate=_success)
+    assert last(tmp_path / "parts").epoch == 4
+    runner = run(tmp_path / "parts", toy_config(epochs=6), resume=True, evaluate=_success)
     assert runner.env.resets == [5, 6]  # type: ignore[attr-defined]
-    _assert_same(_last(tmp_path / "straight"), _last(tmp_path / "parts"))
-    assert [row["epoch"] for row in _rows(tmp_path / "parts")] == ["0", "1", "2", "3", "4", "5", "6"]
+    assert_same(last(tmp_path / "straight"), last(tmp_path / "parts"))
+    assert [row["epoch"] for row in rows_of(tmp_path / "parts")] == ["0", "1", "2", "3", "4", "5", "6"]
 
 
 def test_resume_half_way_drops_what_came_later(tmp_path: Path) -> None:
-    _run(tmp_path / "straight", toy_config(epochs=6))
-    _run(tmp_path / "parts", toy_config(epochs=5))
+    run(tmp_path / "straight", toy_config(epochs=6))
+    run(tmp_path / "parts", toy_config(epochs=5))
     for epoch in (4, 5):
         (tmp_path / "parts" / "checkpoints" / f"{epoch:06d}.pt").unlink()
     with open(tmp_path / "parts" / "progress.csv", "a") as stream:
         stream.write("6,7")  # a row that a crash cut off
-    _run(tmp_path / "parts", toy_config(epochs=6), resume=True)
-    _assert_same(_last(tmp_path / "straight"), _last(tmp_path / "parts"))
-    assert [row["epoch"] for row in _rows(tmp_path / "parts")] == ["1", "2", "3", "4", "5", "6"]
+    run(tmp_path / "parts", toy_config(epochs=6), resume=True)
+    assert_same(last(tmp_path / "straight"), last(tmp_path / "parts"))
+    assert [row["epoch"] for row in rows_of(tmp_path / "parts")] == ["1", "2", "3", "4", "5", "6"]
 
 
 def test_resume_of_a_finished_run_changes_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    _run(tmp_path, toy_config())
+    run(tmp_path, toy_config())
     before = checkpoints.latest(tmp_path).read_bytes()
-    runner = _run(tmp_path, toy_config(), resume=True)
+    runner = run(tmp_path, toy_config(), resume=True)
     assert runner.env.resets == []  # type: ignore[attr-defined]
     assert checkpoints.latest(tmp_path).read_bytes() == before
     assert "raise ppo.epochs" in capsys.readouterr().err
 
 
-def test_control_steps_are_limited(tmp_path: Path) -> None:
-    # 10 steps an epoch in each of 8 environments.
-    config = toy_config(epochs=9, max_steps=3 * 80 + 79)
-    _run(tmp_path / "a", config)
-    assert _last(tmp_path / "a").epoch == 3
-    assert _rows(tmp_path / "a")[-1]["control_steps"] == "240"
-    _run(tmp_path / "a", toy_config(epochs=9, max_steps=4 * 80), resume=True)
-    assert _last(tmp_path / "a").epoch == 4
-    _run(tmp_path / "b", toy_config(epochs=9, max_steps=1))
-    assert _last(tmp_path / "b").epoch == 1
-
-
-def test_control_steps_count_what_was_made_before_a_resume_with_other_epochs(tmp_path: Path) -> None:
-    _run(tmp_path, toy_config(epochs=2))
-    # 14 instead of 10 steps in each of 8 environments: 160 + 2 * 112 of at most 400.
-    config = toy_config(epochs=9, steps=14, max_steps=400)
-    runner = _run(tmp_path, config, resume=True)
-    assert runner.last_epoch == 4
-    assert [row["control_steps"] for row in _rows(tmp_path)][-3:] == ["160", "272", "384"]
-    # What it was resumed with is what the run's files say, and so what a test of it takes.
-    assert load_config(tmp_path / "config.yaml") == config
-    assert json.loads((tmp_path / "data.json").read_text()) == {"hand": "toy"}
 
 
 @pytest.mark.parametrize(("limits", "expected"), [((1e-6, 1e-5), 1e-5), ((1e-2, 1e-1), 1e-2)])
 def test_a_resumed_learning_rate_is_within_its_limits(
     tmp_path: Path, limits: tuple[float, float], expected: float
 ) -> None:
-    _run(tmp_path, toy_config(epochs=1))
+    run(tmp_path, toy_config(epochs=1))
     config = toy_config(min_learning_rate=limits[0], max_learning_rate=limits[1])
     assert Runner(ToyEnv(), config, tmp_path, {}, None, True).ppo.learning_rate == pytest.approx(expected)
 
 
 def test_resume_tells_what_changed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    _run(tmp_path, toy_config(epochs=1))
+    run(tmp_path, toy_config(epochs=1))
     Runner(ToyEnv(), toy_config(epochs=2, gamma=0.5), tmp_path, {"hand": "other"}, None, True).learn()
     shown = capsys.readouterr().err
     assert "config differs from the checkpoint's in ppo.epochs, ppo.gamma" in shown
@@ -151,7 +103,7 @@ def test_resume_tells_what_changed(tmp_path: Path, capsys: pytest.CaptureFixture
 
 def test_resume_with_a_fixed_learning_rate_takes_the_config_s(tmp_path: Path) -> None:
     fixed = {"adaptive_learning_rate": False}
-    _run(tmp_path, toy_config(epochs=1, **fixed))
+    run(tmp_path, toy_config(epochs=1, **fixed))
     runner = Runner(ToyEnv(), toy_config(learning_rate=1e-4, **fixed), tmp_path, {}, None, True)
     assert runner.ppo.learning_rate == 1e-4
 
@@ -164,12 +116,12 @@ def test_interruption_leaves_the_last_completed_epoch(tmp_path: Path, number: si
 
     handlers = [signal.getsignal(n) for n in (signal.SIGINT, signal.SIGTERM)]
     with pytest.raises(Interrupted, match=r"epoch 2 is saved in .*000002\.pt, continue with --resume") as caught:
-        _run(tmp_path / "parts", toy_config(every=100), on_step=interrupt)
+        run(tmp_path / "parts", toy_config(every=100), on_step=interrupt)
     assert caught.value.checkpoint == checkpoints.latest(tmp_path / "parts") and caught.value.epoch == 2
     assert handlers == [signal.getsignal(n) for n in (signal.SIGINT, signal.SIGTERM)]
-    _run(tmp_path / "parts", toy_config(), resume=True)
-    _run(tmp_path / "straight", toy_config())
-    _assert_same(_last(tmp_path / "parts"), _last(tmp_path / "straight"))
+    run(tmp_path / "parts", toy_config(), resume=True)
+    run(tmp_path / "straight", toy_config())
+    assert_same(last(tmp_path / "parts"), last(tmp_path / "straight"))
 
 
 def test_interruption_of_an_update_does_not_leak_into_the_checkpoint(
@@ -188,8 +140,8 @@ def test_interruption_of_an_update_does_not_leak_into_the_checkpoint(
     monkeypatch.setattr(runner.ppo, "update", interrupted_update)
     with pytest.raises(Interrupted):
         runner.learn()
-    _run(tmp_path / "straight", toy_config(epochs=1))
-    _assert_same(_last(tmp_path / "parts"), _last(tmp_path / "straight"))
+    run(tmp_path / "straight", toy_config(epochs=1))
+    assert_same(last(tmp_path / "parts"), last(tmp_path / "straight"))
 
 
 def test_interruption_before_the_first_epoch_is_usable_too(tmp_path: Path) -> None:
@@ -197,12 +149,12 @@ def test_interruption_before_the_first_epoch_is_usable_too(tmp_path: Path) -> No
         raise KeyboardInterrupt
 
     with pytest.raises(Interrupted):
-        _run(tmp_path / "parts", toy_config(), evaluate=interrupt)
-    assert _last(tmp_path / "parts").epoch == 0
-    _run(tmp_path / "parts", toy_config(), resume=True, evaluate=_success)
-    _run(tmp_path / "straight", toy_config(), evaluate=_success)
-    _assert_same(_last(tmp_path / "parts"), _last(tmp_path / "straight"))
-    assert [row["epoch"] for row in _rows(tmp_path / "parts")] == ["0", "1", "2", "3", "4"]
+        run(tmp_path / "parts", toy_config(), evaluate=interrupt)
+    assert last(tmp_path / "parts").epoch == 0
+    run(tmp_path / "parts", toy_config(), resume=True, evaluate=_success)
+    run(tmp_path / "straight", toy_config(), evaluate=_success)
+    assert_same(last(tmp_path / "parts"), last(tmp_path / "straight"))
+    assert [row["epoch"] for row in rows_of(tmp_path / "parts")] == ["0", "1", "2", "3", "4"]
 
 
 def test_full_disk_is_one_error_and_keeps_the_old_checkpoint(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -214,13 +166,13 @@ def test_full_disk_is_one_error_and_keeps_the_old_checkpoint(tmp_path: Path, mon
             monkeypatch.setattr(os, "fsync", fail)
 
     with pytest.raises(DataError, match="No space left on device"):
-        _run(tmp_path, toy_config(keep=1), on_step=fill_disk)
+        run(tmp_path, toy_config(keep=1), on_step=fill_disk)
     assert [p.name for p in (tmp_path / "checkpoints").iterdir()] == ["000002.pt"]
-    assert _last(tmp_path).epoch == 2
+    assert last(tmp_path).epoch == 2
 
 
 def test_checkpoint_schedule(tmp_path: Path) -> None:
-    _run(tmp_path, toy_config(epochs=8, every=3, keep=2))
+    run(tmp_path, toy_config(epochs=8, every=3, keep=2))
     assert [p.name for p in checkpoints.saved(tmp_path)] == ["000006.pt", "000008.pt"]
 
 
@@ -230,14 +182,14 @@ def test_evaluation_schedule_and_best_success(tmp_path: Path) -> None:
     def evaluate(policy: Policy) -> dict[str, Any]:
         return {"success": next(given), "contact_ratio": 0.5}
 
-    _run(tmp_path, toy_config(epochs=5, eval_every=2), evaluate=evaluate)
-    successes = {row["epoch"]: row["success"] for row in _rows(tmp_path) if row["success"]}
+    run(tmp_path, toy_config(epochs=5, eval_every=2), evaluate=evaluate)
+    successes = {row["epoch"]: row["success"] for row in rows_of(tmp_path) if row["success"]}
     assert successes == {"0": "0.1", "2": "0.9", "4": "0.3", "5": "0.2"}
-    assert _last(tmp_path).best_success == 0.9
+    assert last(tmp_path).best_success == 0.9
 
 
 def test_a_directory_with_another_run_is_refused(tmp_path: Path) -> None:
-    _run(tmp_path, toy_config(epochs=1))
+    run(tmp_path, toy_config(epochs=1))
     with pytest.raises(ConfigError, match="already holds checkpoints"):
         Runner(ToyEnv(), toy_config(), tmp_path, {})
     with pytest.raises(DataError, match="no checkpoint there"):
@@ -245,7 +197,7 @@ def test_a_directory_with_another_run_is_refused(tmp_path: Path) -> None:
 
 
 def test_another_architecture_is_refused(tmp_path: Path) -> None:
-    _run(tmp_path, toy_config(epochs=1))
+    run(tmp_path, toy_config(epochs=1))
     with pytest.raises(DataError, match="another architecture"):
         Runner(ToyEnv(), toy_config(hidden=[8]), tmp_path, {}, None, True)
     with pytest.raises(DataError, match="observation_size 4 there, 6 here"):
@@ -268,8 +220,8 @@ def test_numbers_that_are_not_finite_are_refused(tmp_path: Path, name: str, valu
             array[(5, 1) if array.ndim == 2 else 5] = value
 
     with pytest.raises(DataError, match=message):
-        _run(tmp_path, toy_config(), on_step=spoil)
-    assert _last(tmp_path).epoch == 1
+        run(tmp_path, toy_config(), on_step=spoil)
+    assert last(tmp_path).epoch == 1
 
 
 def test_truncation_and_termination_reach_the_advantages(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -296,23 +248,6 @@ def test_truncation_and_termination_reach_the_advantages(tmp_path: Path, monkeyp
     runner.learn()
     assert seen["got"].tolist() == pytest.approx([0.0, 0.9 * seen["final"].item(), 0.9 * seen["next"].item()], abs=1e-6)
 
-
-def test_epochs_that_grow_are_counted_as_they_are(tmp_path: Path) -> None:
-    # Epochs of 2, 2, 4, 4 and all 8 labels, 10 control steps each.
-    labels = {"per_epoch": 2, "doubles_every": 2}
-    base = toy_config(epochs=5)
-    config = base.model_copy(update={"labels": base.labels.model_copy(update=labels)})
-    _run(tmp_path / "a", config)
-    assert [row["control_steps"] for row in _rows(tmp_path / "a")] == ["20", "40", "80", "120", "200"]
-    limited = config.model_copy(update={"ppo": config.ppo.model_copy(update={"max_steps": 199})})
-    _run(tmp_path / "b", limited)
-    assert _last(tmp_path / "b").epoch == 4
-    _run(tmp_path / "b", config, resume=True)
-    assert [row["control_steps"] for row in _rows(tmp_path / "b")] == ["20", "40", "80", "120", "200"]
-    _assert_same(_last(tmp_path / "a"), _last(tmp_path / "b"))
-    # What an older version wrote no log of is counted from the config.
-    (tmp_path / "b" / "progress.csv").unlink()
-    assert Runner(ToyEnv(), config, tmp_path / "b", {"hand": "toy"}, None, True)._resumed_steps == 200
 
 
 def test_more_minibatches_than_samples_are_refused(tmp_path: Path) -> None:

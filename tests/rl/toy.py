@@ -1,14 +1,20 @@
-"""A toy set of environments: a point on a line per action is to reach a target."""
+"""A toy set of environments, a point on a line per action that is to reach a target; and runs of it."""
 
 from __future__ import annotations
 
+import csv
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+import torch
 
 from dgrasp.config import Config, make_config
+from dgrasp.rl import checkpoint as checkpoints
+from dgrasp.rl.checkpoint import Checkpoint
 from dgrasp.rl.collect import Actor, Incident, Trajectories, collect
+from dgrasp.rl.runner import Evaluate, Runner
 from dgrasp.rl.vec_env import Step
 from dgrasp.types import Array
 
@@ -118,3 +124,25 @@ def toy_config(**ppo: Any) -> Config:
             "ppo": {"epochs": 4, "hidden": [16, 16], "update_epochs": 2, "minibatches": 2, **ppo},
         }
     )
+
+
+def run(run_dir: Path, config: Config, resume: bool = False, evaluate: Evaluate | None = None, **env: Any) -> Runner:
+    runner = Runner(ToyEnv(**env), config, run_dir, {"hand": "toy"}, evaluate, resume)
+    runner.learn()
+    return runner
+
+
+def last(run_dir: Path) -> Checkpoint:
+    return checkpoints.load(checkpoints.latest(run_dir))
+
+
+def assert_same(a: Checkpoint, b: Checkpoint) -> None:
+    assert a.epoch == b.epoch and a.learning_rate == b.learning_rate and a.best_success == b.best_success
+    assert all(torch.equal(a.model[name], b.model[name]) for name in a.model)
+    for index, moments in a.optimizer["state"].items():
+        assert all(torch.equal(moments[name], b.optimizer["state"][index][name]) for name in moments)
+
+
+def rows_of(run_dir: Path) -> list[dict[str, str]]:
+    with open(run_dir / "progress.csv", newline="") as stream:
+        return list(csv.DictReader(stream))

@@ -1,0 +1,52 @@
+"""Control steps of a run: limited, and counted as they were made, also by epochs that grow or a resumed run."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+from dgrasp.config import load_config
+from dgrasp.rl.runner import Runner
+from tests.rl.toy import ToyEnv, assert_same, last, rows_of, run, toy_config
+
+
+def test_control_steps_are_limited(tmp_path: Path) -> None:
+    # 10 steps an epoch in each of 8 environments.
+    config = toy_config(epochs=9, max_steps=3 * 80 + 79)
+    run(tmp_path / "a", config)
+    assert last(tmp_path / "a").epoch == 3
+    assert rows_of(tmp_path / "a")[-1]["control_steps"] == "240"
+    run(tmp_path / "a", toy_config(epochs=9, max_steps=4 * 80), resume=True)
+    assert last(tmp_path / "a").epoch == 4
+    run(tmp_path / "b", toy_config(epochs=9, max_steps=1))
+    assert last(tmp_path / "b").epoch == 1
+
+
+def test_control_steps_count_what_was_made_before_a_resume_with_other_epochs(tmp_path: Path) -> None:
+    run(tmp_path, toy_config(epochs=2))
+    # 14 instead of 10 steps in each of 8 environments: 160 + 2 * 112 of at most 400.
+    config = toy_config(epochs=9, steps=14, max_steps=400)
+    runner = run(tmp_path, config, resume=True)
+    assert runner.last_epoch == 4
+    assert [row["control_steps"] for row in rows_of(tmp_path)][-3:] == ["160", "272", "384"]
+    # What it was resumed with is what the run's files say, and so what a test of it takes.
+    assert load_config(tmp_path / "config.yaml") == config
+    assert json.loads((tmp_path / "data.json").read_text()) == {"hand": "toy"}
+
+
+def test_epochs_that_grow_are_counted_as_they_are(tmp_path: Path) -> None:
+    # Epochs of 2, 2, 4, 4 and all 8 labels, 10 control steps each.
+    labels = {"per_epoch": 2, "doubles_every": 2}
+    base = toy_config(epochs=5)
+    config = base.model_copy(update={"labels": base.labels.model_copy(update=labels)})
+    run(tmp_path / "a", config)
+    assert [row["control_steps"] for row in rows_of(tmp_path / "a")] == ["20", "40", "80", "120", "200"]
+    limited = config.model_copy(update={"ppo": config.ppo.model_copy(update={"max_steps": 199})})
+    run(tmp_path / "b", limited)
+    assert last(tmp_path / "b").epoch == 4
+    run(tmp_path / "b", config, resume=True)
+    assert [row["control_steps"] for row in rows_of(tmp_path / "b")] == ["20", "40", "80", "120", "200"]
+    assert_same(last(tmp_path / "a"), last(tmp_path / "b"))
+    # What an older version wrote no log of is counted from the config.
+    (tmp_path / "b" / "progress.csv").unlink()
+    assert Runner(ToyEnv(), config, tmp_path / "b", {"hand": "toy"}, None, True)._resumed_steps == 200
