@@ -36,7 +36,7 @@ class LabelsConfig(Section):
         if self.per_epoch is None:
             return total
         doublings = 0 if self.doubles_every is None else max(0, epoch - 1) // self.doubles_every
-        # Beyond that a number of labels would be one of astronomy.
+        # The limit keeps a long training's number from growing without end.
         return min(self.per_epoch << min(doublings, 40), total)
 
     @field_validator("objects", mode="before")

@@ -109,11 +109,11 @@ class ImplicitPd:
 class _Batch:
     """Systems of one model, controlled together for one call of `integrate_worlds`.
 
-    gain: of the observer, in one of the engine's steps.
+    stretch: timesteps in one of the engine's steps.
     """
 
-    def __init__(self, systems: Sequence[ImplicitPd], gain: float) -> None:
-        self.systems, self.gain = systems, gain
+    def __init__(self, systems: Sequence[ImplicitPd], stretch: float) -> None:
+        self.systems, self.stretch = systems, stretch
         self.dt = systems[0].dt
         self.q = np.array([s.q for s in systems])
         self.v = np.array([s.v for s in systems])
@@ -174,7 +174,8 @@ class _Batch:
         surprise /= steps * self.dt
         surprise -= self.wanted
         # With tau = Mb wanted - h, the observer's Mb (v+ - v) / dt - tau - h is Mb times the surprise.
-        self.h += (1.0 - (1.0 - self.gain) ** steps) * np.matmul(self.Mb, surprise[..., None])[..., 0]
+        gain = 1.0 - (1.0 - OBSERVER_GAIN) ** (steps * self.stretch)
+        self.h += gain * np.matmul(self.Mb, surprise[..., None])[..., 0]
 
     def store(self) -> None:
         """Gives the systems their new state."""
@@ -215,8 +216,7 @@ def _integrate_chunk(worlds: Sequence[BulletWorld], substeps: int) -> None:
         for system in world.systems.values():
             system.set_timestep(length)
             groups.setdefault(id(system.model), []).append(system)
-    gain = OBSERVER_GAIN if length == timestep else 1.0 - (1.0 - OBSERVER_GAIN) ** (length / timestep)
-    batches = [_Batch(group, gain) for group in groups.values()]
+    batches = [_Batch(group, length / timestep) for group in groups.values()]
     clock = time.perf_counter
     for steps in blocks(total, length, HOLD[preset]):
         for batch in batches:
