@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+from dataclasses import dataclass, field
 
 import numpy as np
 import pytest
@@ -92,19 +93,28 @@ def test_an_interrupted_collection_leaves_the_pool_usable(serial):
         pool.close()
 
 
+@dataclass(frozen=True)
+class _Mortal(Actor):
+    """Strikes the process that acts for one environment with a signal, after twenty of its control steps."""
+
+    how: int
+    acted: list[int] = field(default_factory=list)
+
+    def means(self, observations, out):
+        if len(observations) == 1:
+            self.acted.append(1)
+            if len(self.acted) == 20:
+                os.kill(os.getpid(), self.how)
+        super().means(observations, out)
+
+
 @pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGSTOP])
 def test_a_lost_worker_is_replaced_and_its_experience_dropped(serial, how):
     """Killed, or stopped so that it hangs: the other worker's experience is what it would have been anyway."""
     reference = {k: v.copy() for k, v in vars(serial.collect(_actor(), 4, 70, lambda n: None)).items()}
     pool = ProcessPool(make_spec(3, ["env.episode_steps=70", "pool.hang_s=4"]), 2)
-    victims = [pool._members[1].process.pid]
-
-    def strike(steps):
-        if steps and victims:
-            os.kill(victims.pop(), how)
-
     try:
-        t = pool.collect(_actor(), 4, 70, strike)
+        t = pool.collect(_Mortal(**vars(_actor()), how=how), 4, 70, lambda n: None)
         assert t.valid.tolist() == [True, False, True]
         for name, array in vars(t.valid_part()).items():
             expected = reference[name][[0, 2]] if len(reference[name]) == 3 else reference[name][:, [0, 2]]
