@@ -187,7 +187,7 @@ class PpoConfig(Section):
     or with the first that ends after `max_minutes`; whichever comes first. normalise_returns: the
     critic learns returns of mean 0 and variance 1. separate_clipping: actor and critic have a gradient norm
     each. advantages_per_minibatch: normalise them there and not over the epoch. output_gain: of the actor's
-    last layer at the start. clip_per_action: `clip` limits the ratio of each of an action's numbers, not of them all.
+    last layer at the start.
     """
 
     epochs: Count = 10000
@@ -196,7 +196,6 @@ class PpoConfig(Section):
     gamma: Fraction = 0.996
     lam: Fraction = 0.95
     clip: Positive = 0.2
-    clip_per_action: bool = False
     max_grad_norm: Positive = 0.5
     value_coefficient: NonNegative = 0.5
     entropy_coefficient: float = 0.0

@@ -25,22 +25,9 @@ _RETURN_RATE = 0.1
 
 
 def surrogate_loss(ratio: Tensor, advantages: Tensor, clip: float) -> Tensor:
-    """-mean(min(ratio A, clamp(ratio, 1 - clip, 1 + clip) A)), equation 7; advantages (B,).
-
-    ratio: (B,) of whole actions, or (B, A) of each number of the actions alone, whose terms are added up (Han and Sung
-    2019). To first order both have the same gradient.
-    """
-    if ratio.ndim == 1:
-        ratio = ratio[:, None]
-    clipped, advantages = ratio.clamp(1.0 - clip, 1.0 + clip), advantages[:, None]
-    return -torch.min(ratio * advantages, clipped * advantages).sum(-1).mean()
-
-
-def action_ratios(action: Tensor, old_mean: Tensor, old_std: Tensor, mean: Tensor, std: Tensor) -> Tensor:
-    """(B, A) new over old density of each number of actions (B, A); means (B, A), standard deviations (A,)."""
-    new = -0.5 * ((action - mean) / std).square() - std.log()
-    old = -0.5 * ((action - old_mean) / old_std).square() - old_std.log()
-    return (new - old).exp()
+    """-mean(min(ratio A, clamp(ratio, 1 - clip, 1 + clip) A)), equation 7; all arguments are (B,)."""
+    clipped = ratio.clamp(1.0 - clip, 1.0 + clip)
+    return -torch.min(ratio * advantages, clipped * advantages).mean()
 
 
 def value_loss(values: Tensor, old_values: Tensor, returns: Tensor, clip: float | None) -> Tensor:
@@ -124,10 +111,7 @@ class Ppo:
         if config.adaptive_learning_rate:
             self.learning_rate = adapted_learning_rate(self.learning_rate, kl, config)
 
-        if config.clip_per_action:
-            ratio = action_ratios(batch.actions, batch.means, old_std, now.mean, now.std)
-        else:
-            ratio = (now.log_prob - batch.log_probs).exp()
+        ratio = (now.log_prob - batch.log_probs).exp()
         advantages = batch.advantages
         if config.advantages_per_minibatch:
             advantages = (advantages - advantages.mean()) / (advantages.std() + 1e-8)

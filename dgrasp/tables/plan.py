@@ -36,13 +36,12 @@ _INGREDIENTS = {
     "clipped_together": ("gradients clipped together", FAST, ("ppo.separate_clipping=false",)),
     "paper_gamma": ("gamma 0.996", FAST, ("ppo.gamma=0.996",)),
     "paper_update": ("the paper's updates", FAST, (
-        "ppo.clip_per_action=false", "ppo.desired_kl=0.01", "ppo.update_epochs=4", "ppo.minibatches=4",
-        "ppo.advantages_per_minibatch=false", "ppo.output_gain=1.4142135623730951")),
+        "ppo.desired_kl=0.01", "ppo.update_epochs=4", "ppo.minibatches=4", "ppo.advantages_per_minibatch=false",
+        "ppo.output_gain=1.4142135623730951")),
     "paper_network": ("128 x 128", FAST, ("ppo.hidden=[128, 128]",)),
     "faithful": ("faithful physics", FAST, ("physics.preset=faithful",)),
     "large_epochs": ("all labels in each epoch", FAST, ("labels.per_epoch=null",)),
-    "long": ("episodes of 200 steps", FAST, ("env.episode_steps=200",)),
-    "whole_action": ("the ratio of whole actions clipped", FAST, ("ppo.clip_per_action=false", "ppo.desired_kl=0.02")),
+    "short": ("episodes of 100 steps", FAST, ("env.episode_steps=100",)),
     "paper_pose": ("the paper's pose weight", FAST, ("env.reward.pose=0.1",)),
     "paper": ("cfg/dexycb.yaml", "cfg/dexycb.yaml", ()),
 }  # fmt: skip

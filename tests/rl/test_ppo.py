@@ -11,16 +11,8 @@ import torch
 from dgrasp.config_sections import PpoConfig
 from dgrasp.errors import DataError
 from dgrasp.rl.collect import Trajectories
-from dgrasp.rl.networks import ActorCritic, gaussian_log_prob
-from dgrasp.rl.ppo import (
-    STATISTICS,
-    Ppo,
-    action_ratios,
-    adapted_learning_rate,
-    gaussian_kl,
-    surrogate_loss,
-    value_loss,
-)
+from dgrasp.rl.networks import ActorCritic
+from dgrasp.rl.ppo import STATISTICS, Ppo, adapted_learning_rate, gaussian_kl, surrogate_loss, value_loss
 from dgrasp.rl.storage import Rollout
 
 
@@ -40,46 +32,6 @@ def test_surrogate_loss_has_no_gradient_where_clipped() -> None:
     ratio = torch.tensor([1.5, 1.5, 0.5, 0.5], requires_grad=True)
     surrogate_loss(ratio, torch.tensor([1.0, -1.0, 1.0, -1.0]), 0.2).backward()
     assert ratio.grad is not None and ratio.grad.tolist() == [0.0, 0.25, -0.25, 0.0]
-
-
-def test_surrogate_loss_of_each_number_by_hand() -> None:
-    # Two actions of two numbers, clip 0.2; the terms of an action add up.
-    #   A  1: min(1.5, 1.2) + min(0.9, 0.9) = 2.1      A -2: min(-3.0, -2.4) + min(-1.0, -1.6) = -4.6
-    # mean = (2.1 - 4.6) / 2 = -1.25
-    ratio = torch.tensor([[1.5, 0.9], [1.5, 0.5]])
-    assert float(surrogate_loss(ratio, torch.tensor([1.0, -2.0]), 0.2)) == pytest.approx(1.25, abs=1e-6)
-
-
-def test_ratios_of_numbers_multiply_to_the_ratio_of_the_action() -> None:
-    generator = torch.Generator().manual_seed(2)
-    action, old_mean, mean = torch.randn(3, 4, 5, generator=generator)
-    old_std, std = torch.rand(2, 5, generator=generator) + 0.5
-    ratios = action_ratios(action, old_mean, old_std, mean, std)
-    normal = torch.distributions.Normal
-    expected = (normal(mean, std).log_prob(action) - normal(old_mean, old_std).log_prob(action)).exp()
-    assert torch.allclose(ratios, expected, rtol=1e-4)
-    whole = (gaussian_log_prob(action, mean, std) - gaussian_log_prob(action, old_mean, old_std)).exp()
-    assert torch.allclose(ratios.prod(-1), whole, rtol=1e-4)
-
-
-def test_the_first_step_is_the_same_whatever_is_clipped() -> None:
-    """Both losses have the same gradient where all ratios are 1."""
-    updated = []
-    for per_action in (False, True):
-        ppo, rollout = _setup(clip_per_action=per_action, update_epochs=1, minibatches=1, clip=1e9)
-        ppo.update(rollout, torch.Generator().manual_seed(0))
-        updated.append(torch.cat([p.detach().flatten() for p in ppo.model.actor.parameters()]))
-    assert torch.allclose(*updated, atol=1e-6)
-
-
-def test_numbers_are_clipped_each_for_itself() -> None:
-    """An action whose ratio is 1.21 by two numbers of 1.1 each still has a gradient under a clip of 0.2."""
-    ratio = torch.full((1, 2), 1.1, requires_grad=True)
-    surrogate_loss(ratio, torch.ones(1), 0.2).backward()
-    assert ratio.grad is not None and ratio.grad.tolist() == [[-1.0, -1.0]]
-    whole = torch.full((1, 2), 1.1, requires_grad=True)
-    surrogate_loss(whole.prod(-1), torch.ones(1), 0.2).backward()
-    assert whole.grad is not None and whole.grad.tolist() == [[0.0, 0.0]]
 
 
 def test_value_loss_by_hand() -> None:
