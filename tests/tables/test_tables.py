@@ -286,7 +286,7 @@ def test_a_training_as_its_row_asks_for_differs_in_nothing(tmp_path: Path, monke
         config = load_config(recipe, [*run.overrides, "ppo.max_minutes=1.0"])
         write_description(trainings.run_dir(run), config, {})
         assert trainings.about(run) == [f"{run.key}: 0 of {config.ppo.epochs} epochs, 0 control steps, 0.00 core-hours"]
-    for key, said in {"all_objects": "the paper's training in ", "recipe_short": "cfg/fast.yaml in "}.items():
+    for key, said in {"all_objects": "the paper's training in ", "recipe_long": "cfg/fast.yaml in "}.items():
         folder = trainings.run_dir(chosen[key])
         config = load_config(folder / "config.yaml", ["labels.objects=[005_tomato_soup_can]", "env.grasp_steps=2"])
         write_description(folder, config, {})
