@@ -56,10 +56,13 @@ class Config(Section):
         """Seconds per control step."""
         return self.physics.timestep * self.physics.substeps
 
-    @property
-    def learned_steps(self) -> int:
-        """Control steps of an episode that the learner sees: in task motion those after the grasp."""
-        return self.env.episode_steps - (self.env.grasp_steps if self.env.task == "motion" else 0)
+    def episode_steps(self, epoch: int) -> int:
+        """Control steps of an episode of training in an epoch; the first one is 1."""
+        return self.env.episode_steps + self.env.lengthens_by * self.labels.doublings(epoch)
+
+    def learned_steps(self, epoch: int) -> int:
+        """Those of them that the learner sees: in task motion the ones after the grasp."""
+        return self.episode_steps(epoch) - (self.env.grasp_steps if self.env.task == "motion" else 0)
 
     @model_validator(mode="after")
     def _consistent(self) -> Config:
@@ -68,6 +71,9 @@ class Config(Section):
         hold = self.env.hold
         if hold.first_step is not None and not hold.first_step <= hold.last_step < self.env.episode_steps:
             raise ValueError("env.hold: expected first_step <= last_step < env.episode_steps")
+        if self.env.lengthens_by and self.labels.doubles_every is None:
+            raise ValueError("env.lengthens_by: episodes lengthen after every labels.doubles_every epochs, but that is "
+                             "null; expected a number of epochs there, or 0 here")
         if hold.first_step is not None and self.env.task != "grasp":
             raise ValueError(f"env.hold.first_step: the table stays in task {self.env.task}; expected null")
         if self.physics.concave == "mesh" and self.engine == "mujoco":

@@ -35,9 +35,12 @@ class LabelsConfig(Section):
         """How many of `total` labels take part in an epoch; the first one is 1."""
         if self.per_epoch is None:
             return total
-        doublings = 0 if self.doubles_every is None else max(0, epoch - 1) // self.doubles_every
-        # The limit keeps a long training's number from growing without end.
-        return min(self.per_epoch << min(doublings, 40), total)
+        return min(self.per_epoch << self.doublings(epoch), total)
+
+    def doublings(self, epoch: int) -> int:
+        """How often `per_epoch` has doubled by an epoch."""
+        # The limit keeps a long training's numbers from growing without end.
+        return 0 if self.doubles_every is None else min(max(0, epoch - 1) // self.doubles_every, 10)
 
     @field_validator("objects", mode="before")
     @classmethod
@@ -131,12 +134,14 @@ class EnvConfig(Section):
 
     task: "grasp"; or with a target for the object, a policy of the wrist while a frozen one grasps ("motion"), or one
     policy of everything ("flat"): the paper's baselines "learned policy" and "Flat-RL" (docs/motion.md).
+    lengthens_by: by so many control steps an episode of training lengthens after every `labels.doubles_every` epochs.
     scaled_features: bring every feature to order 1 and clamp it. critic_features: the critic also sees how far
     the episode is and whether the table is gone; the actor does not.
     """
 
     task: Literal["grasp", "motion", "flat"] = "grasp"
     episode_steps: Count = 195
+    lengthens_by: Annotated[int, Field(ge=0)] = 0
     grasp_steps: Count = 60
     features: Literal["phi", "full_state"] = "phi"
     goal_space: bool = True

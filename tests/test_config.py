@@ -111,3 +111,20 @@ def test_how_many_labels_take_part_in_an_epoch(labels: dict[str, int], sizes: li
     config = LabelsConfig(**labels)
     assert [config.in_epoch(epoch, 100) for epoch in (10, 11, 1000)] == sizes
     assert config.in_epoch(0, 100) == config.in_epoch(1, 100)
+
+
+def test_episodes_lengthen_when_the_epochs_grow() -> None:
+    config = Config.model_validate({
+        "labels": {"per_epoch": 16, "doubles_every": 10}, "env": {"episode_steps": 100, "lengthens_by": 45},
+    })
+    assert [config.episode_steps(epoch) for epoch in (0, 1, 10, 11, 21)] == [100, 100, 100, 145, 190]
+    assert config.learned_steps(11) == 145
+    moving = config.model_copy(update={"env": config.env.model_copy(update={"task": "motion"})})
+    assert moving.learned_steps(11) == 145 - config.env.grasp_steps
+    # However long the training is.
+    assert config.episode_steps(10**9) == config.episode_steps(1000) == 100 + 10 * 45
+
+
+def test_episodes_cannot_lengthen_without_a_time_for_it() -> None:
+    with pytest.raises(ValueError, match=r"env\.lengthens_by.*labels\.doubles_every"):
+        Config.model_validate({"env": {"lengthens_by": 45}})

@@ -84,6 +84,8 @@ class GraspEnv:
         self._path: Array | None = None
         self._path_step = 0
         self.clock = np.zeros(n, int)
+        self.episode_steps = self.config.episode_steps(1)
+        """Control steps of an episode in this epoch."""
         self.steps_made = np.zeros(n, int)
         """Control steps of each environment since it was made."""
 
@@ -115,7 +117,7 @@ class GraspEnv:
 
     def reset(self, epoch: int = 0, mode: Mode = "train") -> Array:
         """Start all episodes; the noise depends on (config.seed, epoch, environment). Returns (N, O)."""
-        self.mode = mode
+        self.mode, self.episode_steps = mode, self.config.episode_steps(epoch)
         count = self.config.labels.in_epoch(epoch, self.total) if mode == "train" else self.total
         self.active[:] = taking_part(self.config.seed, epoch, count, self.indices, self.total)
         acting = np.flatnonzero(self.active).tolist()
@@ -169,7 +171,7 @@ class GraspEnv:
         if broken.any():
             self._bury(np.flatnonzero(broken))
         self.worlds.derive(self._rows)
-        np.divide(self.clock, self.config.env.episode_steps, out=self.s.episode_time)
+        np.divide(self.clock, self.episode_steps, out=self.s.episode_time)
         dropped = self.hold.judge(self.s) if self._training_hold else np.zeros(self.num_envs, bool)
         self._pay(self._observe(self._rows))
         # A broken episode ends with nothing gained, and is already placed anew.
@@ -180,7 +182,7 @@ class GraspEnv:
         if self.mode == "train":
             fallen = dropped & self.active & ~broken
             self.o.terminated |= fallen
-            self.o.truncated[:] = ~self.o.terminated & (self.clock >= self.config.env.episode_steps) & self.active
+            self.o.truncated[:] = ~self.o.terminated & (self.clock >= self.episode_steps) & self.active
             ended = fallen | self.o.truncated
             if ended.any():
                 self._restart(np.flatnonzero(ended))

@@ -131,7 +131,7 @@ class Runner:
         env, rollout = self.env, self.rollout
         actor = self.model.actor_arrays(self.config.seed)
         while True:
-            collected = env.collect(actor, epoch, self.config.learned_steps, lambda n: log.step(epoch, n))
+            collected = env.collect(actor, epoch, self.config.learned_steps(epoch), lambda n: log.step(epoch, n))
             log.events(epoch, env.drain_events())
             log.incidents(env.drain_incidents(), env.names)
             if collected.valid.any():
@@ -171,7 +171,7 @@ class Runner:
 
     def _steps_in(self, epoch: int) -> int:
         """Control steps of an epoch."""
-        return self.config.learned_steps * self.config.labels.in_epoch(epoch, self.env.num_envs)
+        return self.config.learned_steps(epoch) * self.config.labels.in_epoch(epoch, self.env.num_envs)
 
     def _steps_after(self, epoch: int) -> int:
         """Control steps of the whole run when an epoch is complete, not before the one that it was resumed after."""

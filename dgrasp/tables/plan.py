@@ -41,7 +41,7 @@ _INGREDIENTS = {
     "paper_network": ("128 x 128", FAST, ("ppo.hidden=[128, 128]",)),
     "faithful": ("faithful physics", FAST, ("physics.preset=faithful",)),
     "large_epochs": ("all labels in each epoch", FAST, ("labels.per_epoch=null",)),
-    "long": ("episodes of 200 steps", FAST, ("env.episode_steps=200",)),
+    "long": ("episodes of 200 steps", FAST, ("env.episode_steps=200", "env.lengthens_by=0")),
     "paper_pose": ("the paper's pose weight", FAST, ("env.reward.pose=0.1",)),
     "paper": ("cfg/dexycb.yaml", "cfg/dexycb.yaml", ()),
 }  # fmt: skip

@@ -109,3 +109,20 @@ def test_the_same_labels_are_drawn_however_the_set_is_divided() -> None:
     assert whole.active.all()
     whole.close()
     half.close()
+
+
+def test_training_episodes_lengthen_and_tests_do_not_end() -> None:
+    options = ["env.episode_steps=65", "env.lengthens_by=3", "labels.per_epoch=1", "labels.doubles_every=2"]
+    env = make(1, [*options, "env.critic_features=true", "physics.substeps=1"])
+    for epoch, length in ((2, 65), (3, 68)):
+        env.reset(epoch)
+        for step in range(1, length + 1):
+            assert env.s.episode_time[0] == pytest.approx((step - 1) / length)
+            o = env.step(np.zeros((1, 51)))
+            assert o.truncated[0] == (step == length)
+        assert env.clock[0] == 0
+    env.reset(3, "test")
+    for _ in range(70):
+        o = env.step(np.zeros((1, 51)))
+    assert not o.truncated[0]
+    env.close()

@@ -240,7 +240,7 @@ def test_flat_has_wrist_and_fingers_from_the_first_step() -> None:
 @pytest.mark.parametrize("task", ["motion", "flat"])
 def test_collecting_is_the_same_to_the_bit_however_the_labels_are_divided(task: str) -> None:
     spec = motion_spec(3) if task == "motion" else make_spec(3, ["env.task=flat", *SHORT])
-    steps = spec.config.learned_steps
+    steps = spec.config.learned_steps(1)
     assert steps == (4 if task == "motion" else 7)
     serial, pool = SerialPool(spec), ProcessPool(spec, 2)
     weight = np.random.default_rng(2).normal(size=(serial.action_size, serial.observation_size)) / 50

@@ -47,6 +47,10 @@ def test_epochs_that_grow_are_counted_as_they_are(tmp_path: Path) -> None:
     run(tmp_path / "b", config, resume=True)
     assert [row["control_steps"] for row in rows_of(tmp_path / "b")] == ["20", "40", "80", "120", "200"]
     assert_same(last(tmp_path / "a"), last(tmp_path / "b"))
+    # Episodes of 10 steps, then 15, then 20.
+    longer = config.model_copy(update={"env": config.env.model_copy(update={"lengthens_by": 5})})
+    run(tmp_path / "c", longer)
+    assert [row["control_steps"] for row in rows_of(tmp_path / "c")] == ["20", "40", "100", "160", "320"]
     # What an older version wrote no log of is counted from the config.
     (tmp_path / "b" / "progress.csv").unlink()
     assert Runner(ToyEnv(), config, tmp_path / "b", {"hand": "toy"}, None, True)._resumed_steps == 200
