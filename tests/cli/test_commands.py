@@ -24,7 +24,7 @@ from tests.cli.folder import make_folder
 
 SHORT = [
     "env.episode_steps=6", "env.grasp_steps=3", "eval.window_s=0.1", "eval.every=2", "checkpoint.every=1",
-    "pool.kind=serial", "ppo.hidden=[8]",
+    "pool.kind=serial", "ppo.hidden=[8]", "labels.doubles_every=3", "env.lengthens_by=1",
 ]  # fmt: skip
 
 
