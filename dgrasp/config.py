@@ -71,9 +71,6 @@ class Config(Section):
         hold = self.env.hold
         if hold.first_step is not None and not hold.first_step <= hold.last_step < self.env.episode_steps:
             raise ValueError("env.hold: expected first_step <= last_step < env.episode_steps")
-        if self.env.lengthens_by and self.labels.doubles_every is None:
-            raise ValueError("env.lengthens_by: episodes lengthen after every labels.doubles_every epochs, but that is "
-                             "null; expected a number of epochs there, or 0 here")
         if hold.first_step is not None and self.env.task != "grasp":
             raise ValueError(f"env.hold.first_step: the table stays in task {self.env.task}; expected null")
         if self.physics.concave == "mesh" and self.engine == "mujoco":

@@ -134,7 +134,8 @@ class EnvConfig(Section):
 
     task: "grasp"; or with a target for the object, a policy of the wrist while a frozen one grasps ("motion"), or one
     policy of everything ("flat"): the paper's baselines "learned policy" and "Flat-RL" (docs/motion.md).
-    lengthens_by: by so many control steps an episode of training lengthens after every `labels.doubles_every` epochs.
+    lengthens_by: by so many control steps an episode of training lengthens after every `labels.doubles_every` epochs,
+    if that is not null.
     scaled_features: bring every feature to order 1 and clamp it. critic_features: the critic also sees how far
     the episode is and whether the table is gone; the actor does not.
     """

@@ -91,7 +91,7 @@ def _base(
 
 def _check_senses(saved: SavedPolicy, config: Config, path: Path) -> None:
     """A policy must see and move what it did in training; other features may have the same number of entries."""
-    trained = make_config({"env": {key: saved.env[key] for key in SENSES if key in saved.env}}, str(path)).env
+    trained = make_config({"env": saved.env}, str(path)).env
     differ = [key for key in SENSES if getattr(trained, key) != getattr(config.env, key)]
     if differ:
         own = ", ".join(f"env.{key}={getattr(trained, key)}" for key in differ)

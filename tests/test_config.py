@@ -123,8 +123,4 @@ def test_episodes_lengthen_when_the_epochs_grow() -> None:
     assert moving.learned_steps(11) == 145 - config.env.grasp_steps
     # However long the training is.
     assert config.episode_steps(10**9) == config.episode_steps(1000) == 100 + 10 * 45
-
-
-def test_episodes_cannot_lengthen_without_a_time_for_it() -> None:
-    with pytest.raises(ValueError, match=r"env\.lengthens_by.*labels\.doubles_every"):
-        Config.model_validate({"env": {"lengthens_by": 45}})
+    assert Config.model_validate({"env": {"lengthens_by": 45}}).episode_steps(1000) == Config().episode_steps(1)
