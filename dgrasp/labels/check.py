@@ -14,7 +14,8 @@ from dgrasp.labels.measure import Finding
 
 HELP = """\
 Read a label file and measure every label on the hand and the objects that it would be used with: counts, frames,
-units, joint limits, penetration (cm3) and distance (mm), goal contacts, height over the table, duplicates.
+units, joint limits, penetration (cm3) and distance (mm), goal contacts, height over the table, whether contacts could
+carry the object's weight, duplicates.
 
 examples:
   dgrasp labels check DIR/labels/dexycb_train_labels.pkl --data DIR
@@ -41,6 +42,7 @@ def main(arguments: argparse.Namespace) -> int:
     from dgrasp.eval.meshes import build_bodies, build_interpenetration
     from dgrasp.labels.import_common import progress
     from dgrasp.labels.measure import measure_labels
+    from dgrasp.labels.weight import Carrying
     from dgrasp.scene.standing import standing
 
     page = None if arguments.html is None else Path(arguments.html or arguments.file.with_suffix(".html"))
@@ -53,8 +55,10 @@ def main(arguments: argparse.Namespace) -> int:
     hand, objects = build_hand(choice), build_objects(choice, config)
     bodies = build_bodies(choice, objects)
     surface = build_interpenetration(choice, config, hand, bodies).surface
-    findings = measure_labels(choice.labels.labels, hand, surface, {name: one.body for name, one in bodies.items()},
-                              lambda labels: progress(labels, "measuring"))
+    meshes = {name: one.body for name, one in bodies.items()}
+    carrying = Carrying(hand, meshes, {name: model.center_of_mass_O for name, model in objects.items()})
+    findings = measure_labels(choice.labels.labels, hand, surface, meshes,
+                              lambda labels: progress(labels, "measuring"), carrying)
     _print_table(findings)
     lines = summary(findings, surface.kind)
     print("\n".join(lines))
@@ -86,6 +90,8 @@ def summary(findings: list[Finding], kind: str) -> list[str]:
         f"{sum(f.distance_mm > 0.0 for f in findings)} hands do not reach the object",
         f"{sum(f.beyond_limits > 0 for f in findings)} labels have angles beyond the hand's limits, "
         f"{statistics.fmean(f.beyond_limits for f in findings):.1f} of 45 on average",
+        f"{sum(f.sunk_mm > 0.0 for f in findings)} hands would reach below the table's top where their objects start; "
+        f"{sum(not f.carries for f in findings)} cannot carry the weight by what they touch; "
         f"{sum(f.duplicate_of is not None for f in findings)} duplicates",
         f"{len(wrong)} labels with problems",
     ]

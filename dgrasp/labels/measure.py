@@ -1,4 +1,4 @@
-"""What may be wrong with a label, in numbers: limits, penetration, distance, frames, table, duplicates."""
+"""What may be wrong with a label, in numbers: limits, penetration, distance, frames, table, weight, duplicates."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from dgrasp.geometry.intersection import Body, join, near, overlap
 from dgrasp.hand.model import HandModel
 from dgrasp.hand.surface import HandSurface
 from dgrasp.labels.distance import CONTACT_DISTANCE
+from dgrasp.labels.weight import Carrying
 from dgrasp.scene.scene import TABLE_TOP
 from dgrasp.types import Array, GraspLabel
 
@@ -23,6 +24,8 @@ OFF_MM = 2.0
 """mm between key points and those that the hand has in the label's pose."""
 TABLE_MM = 10.0
 """mm by which the object may lie under or over the table's top."""
+SUNK_MM = 20.0
+"""mm by which the hand may be under the table where the object is at its start: some grasp what was lifted before."""
 SAME_M, SAME_RAD = 0.001, 0.0175
 """Labels whose wrists (in the object's frame) and angles agree to this much are duplicates."""
 _SEARCH = 0.5
@@ -37,7 +40,9 @@ class Finding:
     where the hand's surface cannot be closed. distance_mm: between hand and object, 0 where they meet. contacts: goal
     contacts. off_mm: key points against the hand. table_mm: height of the object's lowest point over the table at the
     start (at the grasp where there is no start), None for labels without a table; under_mm: how far it is below the
-    table at the grasp. duplicate_of: an earlier label.
+    table at the grasp. sunk_mm: how far the hand's lowest key point would be below the table if it grasped the object
+    at its start. carries: whether what the hand touches can balance the object's weight (`Carrying`). duplicate_of: an
+    earlier label.
     """
 
     label: GraspLabel
@@ -49,6 +54,8 @@ class Finding:
     off_mm: float
     table_mm: float | None
     under_mm: float
+    sunk_mm: float = 0.0
+    carries: bool = True
     duplicate_of: str | None = None
 
     @property
@@ -71,6 +78,10 @@ class Finding:
             found.append(f"object {abs(self.table_mm):.0f} mm {'over' if self.table_mm > 0 else 'under'} the table")
         elif self.under_mm > TABLE_MM:
             found.append(f"object {self.under_mm:.0f} mm under the table at the grasp")
+        if self.sunk_mm > SUNK_MM:
+            found.append(f"hand {self.sunk_mm:.0f} mm under the table, at the object's start")
+        if not self.carries:
+            found.append("what it touches cannot carry the weight")
         if self.duplicate_of is not None:
             found.append(f"the same as {self.duplicate_of}")
         return found
@@ -81,21 +92,24 @@ class Finding:
         table = max(abs(self.table_mm or 0.0), self.under_mm)
         return (self.off_mm / OFF_MM + (self.penetration_cm3 or 0.0) / DEEP_CM3
                 + self.distance_mm / (1000.0 * CONTACT_DISTANCE) + self.limit_excess_deg / LIMIT_DEG
-                + table / TABLE_MM + (self.contacts == 0) + (self.duplicate_of is not None)
-                + (self.penetration_cm3 is None))
+                + table / TABLE_MM + self.sunk_mm / SUNK_MM + (not self.carries) + (self.contacts == 0)
+                + (self.duplicate_of is not None) + (self.penetration_cm3 is None))
 
 
 def measure_labels(
     labels: Sequence[GraspLabel], hand: HandModel, surface: HandSurface, objects: Mapping[str, Body],
-    progress: Callable[[list[GraspLabel]], Iterable[GraspLabel]] = iter,
+    progress: Callable[[list[GraspLabel]], Iterable[GraspLabel]] = iter, carrying: Carrying | None = None,
 ) -> list[Finding]:
-    """The findings of all labels, in their order. objects: each object's surface in its frame."""
+    """The findings of all labels, in their order. objects: each object's surface in its frame. Without `carrying` all
+    of them are taken to carry their objects, as are those without a table: which way is down is not known of them."""
     same = duplicates(labels)
-    return [_measure(label, hand, surface, objects[label.object_id], same.get(i))
+    return [_measure(label, hand, surface, objects[label.object_id], carrying, same.get(i))
             for i, label in enumerate(progress(list(labels)))]
 
 
-def _measure(label: GraspLabel, hand: HandModel, surface: HandSurface, target: Body, same: str | None) -> Finding:
+def _measure(
+    label: GraspLabel, hand: HandModel, surface: HandSurface, target: Body, carrying: Carrying | None, same: str | None
+) -> Finding:
     gc = np.zeros((1, 51))
     gc[0, 6:] = label.hand_pose
     joints = hand.forward(gc, label.T_WH[None, :3, :3], label.T_WH[None, :3, 3])[1][0]
@@ -110,8 +124,18 @@ def _measure(label: GraspLabel, hand: HandModel, surface: HandSurface, target: B
         distance_mm=distance, contacts=int(label.goal_contacts.sum()),
         off_mm=1000.0 * float(np.linalg.norm(joints - label.joints_W, axis=1).max()),
         table_mm=heights[0] if label.on_table else None, under_mm=max(0.0, -heights[1]) if label.on_table else 0.0,
-        duplicate_of=same,
+        sunk_mm=_sunk(label) if label.on_table else 0.0,
+        carries=carrying is None or not label.on_table or carrying.carries(label), duplicate_of=same,
     )  # fmt: skip
+
+
+def _sunk(label: GraspLabel) -> float:
+    """mm from the table's top down to the lowest key point of the hand that grasps the object at its start."""
+    if label.start is None:
+        return 0.0
+    moved = label.start.T_WO @ np.linalg.inv(label.T_WO)
+    heights = label.joints_W @ moved[2, :3] + moved[2, 3] - TABLE_TOP
+    return max(0.0, -1000.0 * float(heights.min()))
 
 
 def _contact(label: GraspLabel, surface: HandSurface, target: Body) -> tuple[float | None, float]:

@@ -13,6 +13,9 @@ from dgrasp.geometry.intersection import Body, body
 from dgrasp.geometry.shape_mesh import shape_mesh
 from dgrasp.labels.measure import Finding, duplicates, measure_labels
 from dgrasp.labels.native import read_native, write_native
+from dgrasp.labels.weight import Carrying
+from dgrasp.objects.body import object_body
+from dgrasp.objects.free import free_object
 from dgrasp.paths import data_root
 from dgrasp.types import Array, GraspLabel, StartPose
 from raisim_like.rotations import matrix_from_euler, transform
@@ -81,6 +84,38 @@ def test_the_table() -> None:
     assert free.table_mm is None and free.problems == []
 
 
+def test_a_hand_that_would_be_under_the_table() -> None:
+    # Over the object at the grasp, which lies upside down at its start.
+    one = label((0.0, 0.0, 0.15))
+    over = transform(matrix_from_euler(np.array([np.pi, 0.0, 0.0])), one.T_WO[:3, 3])
+    (finding,) = measured(dataclasses.replace(one, start=StartPose(one.T_WH, over, one.hand_pose)))
+    expected = 1000.0 * (one.joints_W[:, 2].max() - 0.55 - 0.05)
+    assert finding.sunk_mm == pytest.approx(expected, abs=1e-6) and expected > 50.0
+    assert f"hand {expected:.0f} mm under the table, at the object's start" in finding.problems
+    assert measured(one)[0].sunk_mm == 0.0 and not any("start" in words for words in measured(one)[0].problems)
+
+
+def test_what_touches_too_little_does_not_carry() -> None:
+    labels = [one for one in read_native(data_root() / "free" / "labels" / "free_train.npz")
+              if one.object_id == "004_sugar_box"][:6]  # fmt: skip
+    model = free_object("004_sugar_box", "official", True)
+    carrying = Carrying(HAND, {model.name: object_body(model, Path()).body}, {model.name: model.center_of_mass_O})
+    assert all(carrying.carries(one) for one in labels)
+    for one in labels:
+        # 10 cm off the box.
+        away = one.T_WH[:3, 3] - one.T_WO[:3, 3]
+        back = one.T_WH.copy()
+        back[:3, 3] += 0.10 * away / np.linalg.norm(away)
+        assert not carrying.carries(dataclasses.replace(one, T_WH=back))
+    # A weight metres beside the box, which 20 weights of force do not balance.
+    beside = Carrying(HAND, {model.name: object_body(model, Path()).body}, {model.name: np.full(3, 3.0)})
+    assert not any(beside.carries(one) for one in labels)
+    # Of a label without a table nobody knows which way is down.
+    free = dataclasses.replace(labels[0], T_WH=back, on_table=False)
+    bodies = {model.name: object_body(model, Path()).body}
+    assert measure_labels([free], HAND, Cube(), bodies, carrying=carrying)[0].carries
+
+
 def test_limits_frames_and_contacts() -> None:
     pose = np.zeros(45)
     pose[3] = HAND.limits[9, 1] + np.deg2rad(20.0)
@@ -116,6 +151,7 @@ def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None
     assert main(["labels", "check", str(tmp_path / "a.npz"), "--data", "free", "--html"]) == 0
     shown = capsys.readouterr().out
     assert "5 labels of 2 objects: 5 with an approach, 5 with a table" in shown
+    assert "1 cannot carry the weight by what they touch; 0 duplicates" in shown
     assert "1 labels with problems" in shown and "004_sugar_box[7]: hand 500 mm from the object" in shown
     page = (tmp_path / "a.html").read_text()
     # The worst comes first, every label has a picture, and text is escaped.

@@ -1,0 +1,61 @@
+"""Whether a recorded grasp could carry its object: what touches too little of it, or at the wrong end, cannot."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from dgrasp.config_sections import PhysicsConfig
+from dgrasp.geometry.intersection import Body
+from dgrasp.hand.model import HandModel
+from dgrasp.labels.distance import HandSpheres, part_poses
+from dgrasp.labels.equilibrium import holds_weight
+from dgrasp.types import Array, GraspLabel
+
+REACH = 0.010
+"""m by which a hand may still close: no recorded one touches the object everywhere that it holds it."""
+_SAMPLES = 8000
+_CONTACTS = 200
+"""Of them, evenly drawn, that the friction cones are laid at."""
+
+
+class Carrying:
+    """The weight test of labels on one hand. objects: surfaces in their frames; centers: (3,) of mass, there."""
+
+    def __init__(self, hand: HandModel, objects: Mapping[str, Body], centers: Mapping[str, Array]) -> None:
+        self._hand, self._spheres = hand, HandSpheres.of_hand(hand)
+        self._centers = centers
+        self._surfaces = {name: _samples(body) for name, body in objects.items()}
+
+    def carries(self, label: GraspLabel) -> bool:
+        """Whether forces where the hand is within `REACH` of the object, or inside, can balance its weight."""
+        points, normals = self._surfaces[label.object_id]
+        R, t = part_poses(self._hand, label.T_WH[None], label.hand_pose[None])
+        centers_O = (self._spheres.place(R, t)[0] - label.T_WO[:3, 3]) @ label.T_WO[:3, :3]
+        near = np.flatnonzero(_gaps(points, centers_O, self._spheres.radii) < REACH)
+        near = near[np.linspace(0, len(near) - 1, min(len(near), _CONTACTS)).astype(int)]
+        return holds_weight(
+            points[near], normals[near], self._centers[label.object_id], label.T_WO[2, :3], PhysicsConfig().friction
+        )
+
+
+def _samples(body: Body) -> tuple[Array, Array]:
+    """Points all over the surface, (P, 3), and its outward normals there."""
+    import trimesh  # Late: it takes a second.
+
+    vertices, faces = body.surface()
+    mesh = trimesh.Trimesh(vertices, faces, process=False)
+    points, rows = trimesh.sample.sample_surface(mesh, _SAMPLES, seed=0)
+    return np.asarray(points), np.asarray(mesh.face_normals)[rows]
+
+
+def _gaps(points: Array, centers: Array, radii: Array) -> Array:
+    """(P,) m from points to the nearest of spheres; negative inside one."""
+    from scipy.spatial import cKDTree
+
+    gaps = np.full(len(points), np.inf)
+    for radius in np.unique(radii):
+        distance, _ = cKDTree(centers[radii == radius]).query(points, distance_upper_bound=radius + REACH)
+        np.minimum(gaps, distance - radius, out=gaps)
+    return gaps
