@@ -35,8 +35,8 @@ def _config(cfg: Config | str | Path | None, overrides: list[str] | None, kind: 
         config = make_config(apply_overrides(cfg.model_dump(), overrides or []))
     else:
         config = load_config(None if cfg is None else Path(cfg), overrides)
-    # Every sub-environment that was asked for takes part in every episode.
-    labels = config.labels.model_copy(update={"per_epoch": None})
+    # Every sub-environment that was asked for takes part in every episode, and all episodes are of the same length.
+    labels = config.labels.model_copy(update={"per_epoch": None, "doubles_every": None})
     return config.model_copy(update={"labels": labels, "pool": config.pool.model_copy(update={"kind": kind})})
 
 
@@ -109,7 +109,7 @@ class GraspGymEnv(gymnasium.Env[Array, Array]):
 class GraspVectorEnv(gymnasium.vector.VectorEnv[Array, Array, Array]):
     """The first `num_envs` labels as a Gymnasium vector environment; ended episodes restart in the same step.
 
-    All of them take part in every episode: `labels.per_epoch` is for the learner of this package.
+    All of them take part in every episode: `labels.per_epoch` and `doubles_every` are for the learner of this package.
     """
 
     metadata = {"autoreset_mode": AutoresetMode.SAME_STEP}  # noqa: RUF012

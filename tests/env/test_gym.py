@@ -70,12 +70,15 @@ def test_more_environments_than_labels_are_refused():
 
 
 def test_all_environments_act_whatever_an_epoch_of_training_draws():
-    venv = GraspVectorEnv(3, overrides=[*FREE, "labels.per_epoch=1"])
+    growing = ["labels.per_epoch=1", "labels.doubles_every=1", "env.lengthens_by=9"]
+    venv = GraspVectorEnv(3, overrides=[*FREE, *growing])
     observation, _ = venv.reset(seed=0)
     assert observation.any(axis=1).all()
-    for _ in range(62):
-        _, _, _, truncated, _ = venv.step(np.zeros((3, 51), np.float32))
-    assert truncated.all()
+    # Nor do episodes lengthen.
+    for _ in range(3):
+        for _ in range(62):
+            _, _, _, truncated, _ = venv.step(np.zeros((3, 51), np.float32))
+        assert truncated.all()
     venv.close()
 
 
