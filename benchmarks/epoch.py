@@ -28,7 +28,6 @@ def main() -> None:
     parser.add_argument("--epochs", type=int, default=2, help="epochs per row; the first, from rest, is left out")
     parser.add_argument("overrides", nargs="*", metavar="key=value")
     arguments = parser.parse_intermixed_args()
-    torch.set_num_threads(1)
     base = 0.0
     print(f"{'workers':>7} {'steps/s':>9} {'physics':>8} {'update':>7} {'ratio':>6}")
     for workers in map(int, arguments.workers.split(",")):
@@ -39,6 +38,7 @@ def main() -> None:
                 "checkpoint.every=1000",
             ],
         )
+        torch.set_num_threads(config.ppo.threads)
         choice = resolve(config)
         pool = build_pool(choice, config)
         rows: list[dict[str, float]] = []

@@ -193,7 +193,8 @@ class PpoConfig(Section):
     or with the first that ends after `max_minutes`; whichever comes first. normalise_returns: the
     critic learns returns of mean 0 and variance 1. separate_clipping: actor and critic have a gradient norm
     each. advantages_per_minibatch: normalise them there and not over the epoch. output_gain: of the actor's
-    last layer at the start.
+    last layer at the start. threads: of the update on a CPU, during which the workers wait; another number
+    changes the last bits of the weights.
     """
 
     epochs: Count = 10000
@@ -221,6 +222,7 @@ class PpoConfig(Section):
     hidden: list[Count] = [128, 128]
     initial_std: Positive = 1.0
     min_std: NonNegative = 0.2
+    threads: Count = 1
 
 
 class PoolConfig(Section):

@@ -121,8 +121,7 @@ def start_run(run_dir: Path, config: Config, choice: DataChoice) -> None:
 
 def train(run_dir: Path, config: Config, choice: DataChoice, resume: bool = False) -> None:
     """Train in `run_dir` to the config's last epoch."""
-    # The workers use all cores; a second thread here would only take one from them.
-    torch.set_num_threads(1)
+    torch.set_num_threads(config.ppo.threads)
     spec = build_spec(choice, config)
     if config.env.task != "grasp" and config.motion.stable_alone:
         spec = only_stable(spec)

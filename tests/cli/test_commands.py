@@ -18,6 +18,7 @@ from dgrasp.config import make_config
 from dgrasp.errors import DataError
 from dgrasp.paths import shipped_root
 from dgrasp.rl import checkpoint
+from dgrasp.rl.ppo import Ppo
 from dgrasp.test import write_gif
 from dgrasp.train import _gif
 from tests.cli.folder import make_folder
@@ -59,6 +60,22 @@ def test_resume_gives_the_bits_of_the_uninterrupted_run(trained, folder, tmp_pat
     assert straight.epoch == resumed.epoch == 4
     for name, tensor in straight.model.items():
         assert torch.equal(tensor, resumed.model[name]), name
+
+
+def test_the_update_has_the_threads_that_it_is_given(folder, tmp_path, monkeypatch):
+    threads, update, before = [], Ppo.update, torch.get_num_threads()
+
+    def watched(*arguments):
+        threads.append(torch.get_num_threads())
+        return update(*arguments)
+
+    monkeypatch.setattr(Ppo, "update", watched)
+    try:
+        words = ["--data", str(folder), "--run", str(tmp_path / "run"), *SHORT, "ppo.epochs=1", "ppo.threads=2"]
+        assert run_command("train", words) == 0
+    finally:
+        torch.set_num_threads(before)
+    assert threads == [2]
 
 
 def test_json_of_a_run_and_of_the_baseline(trained, tmp_path, capsys):
