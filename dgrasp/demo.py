@@ -21,13 +21,14 @@ from dgrasp.eval import output
 from dgrasp.eval.method import Method, PolicyMethod
 from dgrasp.eval.paper import MOTION_OBJECTS
 from dgrasp.eval.summary import Result
+from dgrasp.evaluate import evaluate_choice, evaluate_motion
 from dgrasp.export.collect import display_meshes
 from dgrasp.paths import data_root, package_file
 from dgrasp.report.page import write_report
 from dgrasp.request import PRETRAINED_FILE
 from dgrasp.rl.policies import SavedPolicy, read_policy
 from dgrasp.runs import read_run
-from dgrasp.test import evaluate_choice, evaluate_motion, write_gif
+from dgrasp.test import write_gif
 from dgrasp.train import next_run, start_run, train
 
 HELP = """\

@@ -1,4 +1,4 @@
-"""What a command line of `test.py` asks for: its config, and the baseline or policy."""
+"""What a command line of `test.py` may say, and what it asks for: its config, and the baseline or policy."""
 
 from __future__ import annotations
 
@@ -18,11 +18,56 @@ from dgrasp.paths import data_root
 from dgrasp.rl import checkpoint
 from dgrasp.rl.policies import SavedPolicy, read_policy
 from dgrasp.rl.weights import SUFFIX
+from dgrasp.tables.plan import NAMES
 from dgrasp.train import find_config
+from raisim_like.engines import ENGINES
 
 PRETRAINED = "pretrained"
 PRETRAINED_FILE = Path("free/policy/all_objects.safetensors")
 """What `--run pretrained` stands for: the policy that ships, below the shipped data."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The options of `test`."""
+    parser.add_argument("--baseline", choices=sorted([*BASELINES, *TRAINED_BASELINES]), help="a baseline of the "
+                        "paper; static_grasp takes its grasps from --run or --policy, else from the labels by PD; "
+                        "flat_rl and learned_motion are runs of their own")
+    what = parser.add_mutually_exclusive_group()
+    what.add_argument("--run", type=Path, metavar="DIR|pretrained", help="the last checkpoint of a training run, or "
+                      "the policy that ships")
+    what.add_argument("--policy", type=Path, metavar="FILE", help="a checkpoint, ours or one of the authors'; or "
+                      "weights of `dgrasp publish`")
+    parser.add_argument("--table", choices=(*NAMES, "all"), help="a table of the paper: evaluate what is there, say "
+                        "how to train the rest")
+    parser.add_argument("--budget", type=float, metavar="MINUTES", help="with --table: train what is missing, so long")
+    parser.add_argument("--seeds", type=_numbers, default=[], metavar="K,K,...",
+                        help="with --table: policies of these seeds, averaged (default: the config's one)")
+    parser.add_argument("--runs", type=Path, metavar="DIR",
+                        help="with --table: where its runs and results are (default: runs/tables)")
+    parser.add_argument("--motion", metavar="easy|near|ood|circle|pour|FILE",
+                        help="move the object to targets: the authors', own ones, a path, or a file of poses")
+    parser.add_argument("--cfg", type=Path, metavar="FILE", help="experiment (default: the run's, the policy's, or "
+                        "cfg/dexycb.yaml)")
+    parser.add_argument("--data", metavar="free|DIR", help="the free set, or a folder like the authors' release")
+    parser.add_argument("--split", choices=("train", "test"), help="which labels (default: train)")
+    parser.add_argument("--labels", metavar="SOURCE|FILE", help="dexycb, grasptta, contactopt, or a label file")
+    parser.add_argument("--objects", nargs="+", metavar="NAME", help="only these objects, such as 004_sugar_box")
+    parser.add_argument("--engine", choices=ENGINES, help="physics engine")
+    parser.add_argument("--window", type=float, metavar="SECONDS",
+                        help="stability window (default: 5; the authors: 3.87)")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write JSON, and CSV, markdown, LaTeX beside it")
+    parser.add_argument("--report", type=Path, metavar="FILE", help="write one HTML page: table, charts, replays in 3D")
+    parser.add_argument("--records", type=Path, metavar="DIR", help="store every sequence in a new folder, for `dgrasp "
+                        "export`")
+    parser.add_argument("--gif", type=Path, metavar="FILE", help="write a GIF of some of the grasps")
+    parser.add_argument("overrides", nargs="*", metavar="key=value", help="config keys, such as seed=3 pool.workers=2")
+
+
+def _numbers(text: str) -> list[int]:
+    numbers = [int(word) for word in text.split(",")]
+    if min(numbers) < 0:
+        raise ValueError("a seed is at least 0")
+    return numbers
 
 
 def config_of(arguments: argparse.Namespace) -> Config:

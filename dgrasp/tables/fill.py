@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from dgrasp import test, train
+from dgrasp import evaluate, request, train
 from dgrasp.atomic import write_atomic
 from dgrasp.config import Config, load_config
 from dgrasp.data import DataChoice, resolve
@@ -19,7 +19,6 @@ from dgrasp.errors import DGraspError
 from dgrasp.eval.motion import usual_set
 from dgrasp.eval.summary import Result, Row, summarise
 from dgrasp.labels.source import sha256_of
-from dgrasp.request import config_of, method_for
 from dgrasp.tables.plan import Line, Plan, Trial
 from dgrasp.tables.trainings import Say, Trainings
 
@@ -105,11 +104,11 @@ class Tables:
             words += ["--baseline", trial.method]
         words += [*self.overrides, *trial.overrides, *(self.trainings.own_grasp(run) if run is not None else [])]
         arguments = _parse(words)
-        config = config_of(arguments)
+        config = request.config_of(arguments)
         choice = resolve(config)
         if motion:
             words += ["--motion", usual_set(choice)]
-            config = config_of(_parse(words))
+            config = request.config_of(_parse(words))
         command = shlex.join(["python", "test.py", *words])
         file = self.results / f"{self._key(trial, config, choice)}.json"
         if file.is_file():
@@ -118,8 +117,8 @@ class Tables:
             except ValueError:
                 self.say(f"{file} is damaged and is made again")
         self.say(f"evaluating: {command}")
-        evaluation = test.evaluate_motion if motion else test.evaluate_choice
-        result, _, _ = evaluation(method_for(arguments), config, choice)
+        evaluation = evaluate.evaluate_motion if motion else evaluate.evaluate_choice
+        result, _, _ = evaluation(request.method_for(arguments), config, choice)
         self.results.mkdir(parents=True, exist_ok=True)
         write_atomic(file, json.dumps(result.as_dict(), allow_nan=False))
         return result.as_dict(), command
@@ -175,5 +174,5 @@ def _summary(rows: list[Row], like: Mapping[str, Any]) -> Result:
 
 def _parse(words: Sequence[str]) -> argparse.Namespace:
     parser = argparse.ArgumentParser()
-    test.add_arguments(parser)
+    request.add_arguments(parser)
     return parser.parse_intermixed_args(list(words))

@@ -10,8 +10,7 @@ from typing import Any
 
 import pytest
 
-from dgrasp import test as test_command
-from dgrasp import train
+from dgrasp import evaluate, train
 from dgrasp.cli import run_command
 from dgrasp.config import load_config
 from dgrasp.rl import checkpoint
@@ -108,7 +107,7 @@ def test_what_is_there_is_evaluated_once_and_the_rest_is_named(
     def refuse(*_: Any) -> None:
         raise AssertionError("evaluated again")
 
-    monkeypatch.setattr(test_command, "evaluate_choice", refuse)
+    monkeypatch.setattr(evaluate, "evaluate_choice", refuse)
     assert _table("grasp", folder, tmp_path / "t")[0]["values"] == baseline["values"]
 
 
