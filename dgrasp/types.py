@@ -123,7 +123,8 @@ class EpisodeRecord:
 
     label: the grasp label. gc (T, 51), T_WH (T, 4, 4), joints_W (T, 21, 3), T_WO (T, 4, 4),
     contacts (T, 16), contact_impulse (T, 16) N s per substep, table_contact (T,) bool: states after each
-    control step. window_start: index of the first step after the table was taken away.
+    control step. window_start: index of the first step after the grasp, with which the table was taken away or, in
+    `table_stays`, the object began to be moved; 0 where an episode begins without a table.
     dt: control period in s. terminated: why the episode ended early ("" if it did not).
     reward: (T,). target_T_WO: where the object should be, (4, 4) for a pose or (T, 4, 4) for a path, in episodes that
     move it.
@@ -142,3 +143,8 @@ class EpisodeRecord:
     dt: float
     terminated: str = ""
     target_T_WO: Array | None = None
+
+    @property
+    def table_stays(self) -> bool:
+        """Whether the table was never taken away: a motion that began with a grasp keeps it."""
+        return self.target_T_WO is not None and self.window_start > 0

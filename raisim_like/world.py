@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -91,6 +92,8 @@ class World:
         mask: int | None = None,
     ) -> RigidBody:
         """A rigid body of one or more shapes; mass 0 makes it static. inertia (3, 3) kg m^2 about the com."""
+        if not (math.isfinite(mass) and mass >= 0.0):
+            raise ValueError(f"a mass of {mass} kg; expected a finite number, at least 0 (0: a static body)")
         if mask is None:
             mask = collision_mask(BODY if mass > 0 else STATIC, STATIC | BODY | SYSTEM)
         body = self.engine_world.add_body(

@@ -133,6 +133,8 @@ def read_sequence(path: Path) -> StoredSequence:
             raise DataError(f"{path}: {name} has shape {a[name].shape}; expected {shape}; write the file anew")
     if target is not None and target.shape not in ((4, 4), (steps, 4, 4)):
         raise DataError(f"{path}: target_T_WO has shape {target.shape}; expected (4, 4) or {(steps, 4, 4)}")
+    if not np.isfinite(a["offsets"]).all() or not np.isfinite(a["mesh_vertices"]).all():
+        raise DataError(f"{path}: offsets or mesh_vertices hold NaN or infinity; write the file anew")
     if not steps:
         raise DataError(f"{path}: the sequence has no steps: its simulation broke at once")
     place = meta["label"]
@@ -163,8 +165,19 @@ def _meta(path: Path, text: Array) -> dict[str, Any]:
         raise DataError(f"{path}: schema {meta.get('schema')}; this program reads {SCHEMA}; write the file anew with "
                         "`test.py --records DIR`")
     wrong = [key for key, kind in _ABOUT.items() if not isinstance(meta.get(key), kind)]
-    if wrong or {"object", "index", "source", "hand", "on_table"} - set(meta["label"]) or not meta["dt"] > 0.0:
-        raise DataError(f"{path}: its description is incomplete ({', '.join(wrong) or 'label, dt'}); write it anew")
+    if not wrong:
+        label, table, mano = meta["label"], meta["table"], meta.get("mano")
+        sound = {
+            "label": not {"object", "index", "source", "hand", "on_table"} - set(label) and type(label["index"]) is int,
+            "table": all(isinstance(table.get(key), int | float) for key in ("top_m", "lowered_m")),
+            "dt": meta["dt"] > 0.0,
+            "window_start": meta["window_start"] >= 0,
+            "mano": mano is None or isinstance(mano, dict),
+        }
+        wrong = [key for key, ok in sound.items() if not ok]
+    if wrong:
+        raise DataError(f"{path}: its description is incomplete or wrong ({', '.join(wrong)}); write it anew with "
+                        "`test.py --records DIR`")
     return meta
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from functools import cache
 from typing import Any
 
@@ -43,6 +44,11 @@ def shape_mesh(shape: Shape) -> tuple[Array, Array]:
         return _placed(shape, np.asarray(mesh.vertices), np.asarray(mesh.faces))
     triangles = made.to_mesh64()
     return _placed(shape, np.asarray(triangles.vert_properties)[:, :3], np.asarray(triangles.tri_verts))
+
+
+def shapes_vertices(shapes: Iterable[Shape]) -> Array:
+    """(V, 3) m: the vertices of all shapes of a body, in its frame."""
+    return np.concatenate([shape_mesh(shape)[0] for shape in shapes])
 
 
 _CIRCLE = float(np.sqrt((2.0 * np.pi / SEGMENTS) / np.sin(2.0 * np.pi / SEGMENTS)))

@@ -74,8 +74,9 @@ def load_hand(path: Path, hand_id: str) -> HandModel:
             raise DataError(f"{path}: joint {i} ({link.joint}) must be {kind} about axis {'xyz'[i % 3]}")
         if not np.allclose(link.origin[:3, :3], np.eye(3), atol=1e-9):
             raise DataError(f"{path}: joint {i} ({link.joint}) is rotated; joint frames must be parallel at zero")
-        if i % 3 and np.abs(link.origin[:3, 3]).max() > 1e-12:
-            raise DataError(f"{path}: joint {i} ({link.joint}) must share its origin with the joint before it")
+        if (i % 3 or i < 6) and np.abs(link.origin[:3, 3]).max() > 1e-12:
+            before = "the joint before it" if i else "the hand's base"
+            raise DataError(f"{path}: joint {i} ({link.joint}) must share its origin with {before}")
         if i >= 6 and i % 3 == 0:
             expected = 5 + 3 * PART_PARENT[i // 3 - 1]
             if link.parent != expected:

@@ -40,6 +40,7 @@ def main(arguments: argparse.Namespace) -> int:
     from dgrasp.config import make_config
     from dgrasp.data import resolve
     from dgrasp.eval.meshes import build_bodies, build_interpenetration
+    from dgrasp.geometry.shape_mesh import shapes_vertices
     from dgrasp.labels.import_common import progress
     from dgrasp.labels.measure import measure_labels
     from dgrasp.labels.weight import Carrying
@@ -58,7 +59,8 @@ def main(arguments: argparse.Namespace) -> int:
     meshes = {name: one.body for name, one in bodies.items()}
     carrying = Carrying(hand, meshes, {name: model.center_of_mass_O for name, model in objects.items()})
     findings = measure_labels(choice.labels.labels, hand, surface, meshes,
-                              lambda labels: progress(labels, "measuring"), carrying)
+                              lambda labels: progress(labels, "measuring"), carrying,
+                              {name: shapes_vertices(model.shapes) for name, model in objects.items()})
     _print_table(findings)
     lines = summary(findings, surface.kind)
     print("\n".join(lines))

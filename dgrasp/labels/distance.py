@@ -42,6 +42,9 @@ class HandSpheres:
                 centers.append(local @ R.T + np.array(shape.position))
                 radii.append(np.full(len(local), radius))
                 parts.append(np.full(len(local), part))
+        if not centers:
+            raise DataError(f"hand {hand.id}: it has no collision shapes, so that nothing can be measured on them; "
+                            "expected one whose parts have some")
         return cls(np.concatenate(centers), np.concatenate(radii), np.concatenate(parts))
 
     def take(self, rows: Array) -> HandSpheres:

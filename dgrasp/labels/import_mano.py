@@ -14,6 +14,7 @@ from dgrasp.labels.import_common import MANO_TERMS, add_common, finish, make_mak
 from dgrasp.labels.making import numbered
 from dgrasp.labels.mano_table import read_mano_table
 from dgrasp.scene.scene import TABLE_TOP
+from dgrasp.scene.standing import PLACE_XY
 
 HELP = """\
 Make grasp labels from a .npz or .csv of MANO parameters and object poses, such as the raw outputs of GraspTTA and
@@ -69,8 +70,9 @@ def main(arguments: argparse.Namespace) -> int:
         # Without a table the world is the object's frame, as for the labels that the authors published.
         T_WO, T_WH = np.eye(4), T_OH
         if arguments.table is not None:
+            # Where on the table the frame has its origin is nobody's choice; the object stands where others do.
             T_WA = np.eye(4)
-            T_WA[2, 3] = TABLE_TOP - arguments.table
+            T_WA[:3, 3] = *(np.array(PLACE_XY) - grasps.T_AO[row][:2, 3]), TABLE_TOP - arguments.table
             T_WO, T_WH = T_WA @ grasps.T_AO[row], T_WA @ grasps.T_AH[row]
         labels.append(maker.label(name, T_WH, pose, T_WO, contacts, None, f"{table.path.name}:{row}"[:200],
                                   on_table=arguments.table is not None))

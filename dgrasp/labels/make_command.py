@@ -81,12 +81,13 @@ def main(arguments: argparse.Namespace) -> int:
     workers = min(arguments.workers or cores(), len(tasks))
     parts = arguments.out.with_suffix(".parts")
     todo = [task for task in tasks if not (parts / task.file).is_file()]
+    missing = {task.file for task in todo}
     if len(todo) < len(tasks):
         print(f"{parts}: {len(tasks) - len(todo)} objects are there from a run that was stopped", flush=True)
     with ProcessPoolExecutor(workers, multiprocessing.get_context("spawn"), _one_thread) as pool:
         results = iter(pool.map(_make, todo))
         for task in tasks:
-            labels, row = _kept(parts / task.file, next(results) if task in todo else None)
+            labels, row = _kept(parts / task.file, next(results) if task.file in missing else None)
             made.append(labels)
             figures[task.model.name] = row
             print(f"{task.model.name}: {len(labels)} labels, {row['held']} hold under gt_pd ({row['found_held']:.2f} "
@@ -119,7 +120,8 @@ def _tasks(arguments: argparse.Namespace) -> tuple[list[_Task], NamedHand]:
     hand = open_hand(name)
     side: Side = hand.meta.get("side", "right")
     wanted = list(YCB_NAMES.values()) if arguments.objects == ["all"] else list(dict.fromkeys(arguments.objects))
-    models = [_object(entry, data, arguments.store, config) for entry in wanted]
+    models = list({model.name: model for model in (_object(entry, data, arguments.store, config) for entry in wanted)
+                   }.values())  # fmt: skip
     same = [hand.model.id, __version__, arguments.number, arguments.seed, arguments.engine]
     return [
         _Task(name, side, model, arguments.number, arguments.seed, config, _part_name(model, same)) for model in models

@@ -13,7 +13,7 @@ from dgrasp.hand.model import HandModel
 from dgrasp.hand.surface import HandSurface
 from dgrasp.labels.distance import CONTACT_DISTANCE
 from dgrasp.labels.weight import Carrying
-from dgrasp.scene.scene import TABLE_TOP
+from dgrasp.scene.scene import TABLE_SIZE, TABLE_TOP, TABLE_XY
 from dgrasp.types import Array, GraspLabel
 
 LIMIT_DEG = 15.0
@@ -42,7 +42,7 @@ class Finding:
     start (at the grasp where there is no start), None for labels without a table; under_mm: how far it is below the
     table at the grasp. sunk_mm: how far the hand's lowest key point would be below the table if it grasped the object
     at its start. carries: whether what the hand touches can balance the object's weight (`Carrying`). duplicate_of: an
-    earlier label.
+    earlier label. beside: whether the object starts beside the table, not over it.
     """
 
     label: GraspLabel
@@ -57,6 +57,7 @@ class Finding:
     sunk_mm: float = 0.0
     carries: bool = True
     duplicate_of: str | None = None
+    beside: bool = False
 
     @property
     def problems(self) -> list[str]:
@@ -74,6 +75,8 @@ class Finding:
             found.append(f"joint {self.limit_excess_deg:.0f} degrees beyond its limit")
         if self.contacts == 0:
             found.append("no goal contacts")
+        if self.beside:
+            found.append("object beside the table")
         if self.table_mm is not None and abs(self.table_mm) > TABLE_MM:
             found.append(f"object {abs(self.table_mm):.0f} mm {'over' if self.table_mm > 0 else 'under'} the table")
         elif self.under_mm > TABLE_MM:
@@ -93,22 +96,31 @@ class Finding:
         return (self.off_mm / OFF_MM + (self.penetration_cm3 or 0.0) / DEEP_CM3
                 + self.distance_mm / (1000.0 * CONTACT_DISTANCE) + self.limit_excess_deg / LIMIT_DEG
                 + table / TABLE_MM + self.sunk_mm / SUNK_MM + (not self.carries) + (self.contacts == 0)
-                + (self.duplicate_of is not None) + (self.penetration_cm3 is None))
+                + self.beside + (self.duplicate_of is not None) + (self.penetration_cm3 is None))
 
 
 def measure_labels(
     labels: Sequence[GraspLabel], hand: HandModel, surface: HandSurface, objects: Mapping[str, Body],
     progress: Callable[[list[GraspLabel]], Iterable[GraspLabel]] = iter, carrying: Carrying | None = None,
+    simulated: Mapping[str, Array] | None = None,
 ) -> list[Finding]:
-    """The findings of all labels, in their order. objects: each object's surface in its frame. Without `carrying` all
-    of them are taken to carry their objects, as are those without a table: which way is down is not known of them."""
+    """The findings of all labels, in their order.
+
+    objects: each object's surface in its frame. simulated: the vertices of its collision shapes there, where they
+    differ from the surface: what stands on the table. Without `carrying` all of them are taken to carry their objects,
+    as are those without a table: which way is down is not known of them.
+    """
     same = duplicates(labels)
-    return [_measure(label, hand, surface, objects[label.object_id], carrying, same.get(i))
-            for i, label in enumerate(progress(list(labels)))]
+    return [
+        _measure(label, hand, surface, objects[label.object_id], carrying, same.get(i),
+                 objects[label.object_id].vertices if simulated is None else simulated[label.object_id])
+        for i, label in enumerate(progress(list(labels)))
+    ]  # fmt: skip
 
 
 def _measure(
-    label: GraspLabel, hand: HandModel, surface: HandSurface, target: Body, carrying: Carrying | None, same: str | None
+    label: GraspLabel, hand: HandModel, surface: HandSurface, target: Body, carrying: Carrying | None, same: str | None,
+    standing: Array,
 ) -> Finding:
     gc = np.zeros((1, 51))
     gc[0, 6:] = label.hand_pose
@@ -117,7 +129,7 @@ def _measure(
     excess = np.maximum(limits[:, 0] - label.hand_pose, label.hand_pose - limits[:, 1])
     penetration, distance = _contact(label, surface, target)
     rest = label.T_WO if label.start is None else label.start.T_WO
-    heights = [1000.0 * float((target.vertices @ T[2, :3]).min() + T[2, 3] - TABLE_TOP) for T in (rest, label.T_WO)]
+    heights = [1000.0 * float((standing @ T[2, :3]).min() + T[2, 3] - TABLE_TOP) for T in (rest, label.T_WO)]
     return Finding(
         label=label, beyond_limits=int((excess > 1e-6).sum()),
         limit_excess_deg=float(np.rad2deg(max(excess.max(), 0.0))), penetration_cm3=penetration,
@@ -126,7 +138,14 @@ def _measure(
         table_mm=heights[0] if label.on_table else None, under_mm=max(0.0, -heights[1]) if label.on_table else 0.0,
         sunk_mm=_sunk(label) if label.on_table else 0.0,
         carries=carrying is None or not label.on_table or carrying.carries(label), duplicate_of=same,
+        beside=label.on_table and not _over_table(standing @ rest[:2, :3].T + rest[:2, 3]),
     )  # fmt: skip
+
+
+def _over_table(points: Array) -> bool:
+    """Whether the middle of an object's outline (V, 2), seen from above, lies over the table."""
+    middle = (points.min(axis=0) + points.max(axis=0)) / 2.0
+    return bool((np.abs(middle - TABLE_XY) <= np.array(TABLE_SIZE[:2]) / 2.0).all())
 
 
 def _sunk(label: GraspLabel) -> float:

@@ -25,6 +25,7 @@ class Carrying:
 
     def __init__(self, hand: HandModel, objects: Mapping[str, Body], centers: Mapping[str, Array]) -> None:
         self._hand, self._spheres = hand, HandSpheres.of_hand(hand)
+        self._cores = _cores(self._spheres)
         self._centers = centers
         self._surfaces = {name: _samples(body) for name, body in objects.items()}
 
@@ -32,8 +33,14 @@ class Carrying:
         """Whether forces where the hand is within `REACH` of the object, or inside, can balance its weight."""
         points, normals = self._surfaces[label.object_id]
         R, t = part_poses(self._hand, label.T_WH[None], label.hand_pose[None])
-        centers_O = (self._spheres.place(R, t)[0] - label.T_WO[:3, 3]) @ label.T_WO[:3, :3]
-        near = np.flatnonzero(_gaps(points, centers_O, self._spheres.radii) < REACH)
+        centers_O, cores_O = (
+            (places[0] - label.T_WO[:3, 3]) @ label.T_WO[:3, :3]
+            for places in (self._spheres.place(R, t), self._cores.place(R, t))
+        )
+        gaps, nearest = _gaps(points, centers_O, self._spheres.radii)
+        # A finger outside of a thin wall does not touch the wall's inner side.
+        facing = np.einsum("pi,pi->p", cores_O[nearest] - points, normals) > 0.0
+        near = np.flatnonzero((gaps < 0.0) | (facing & (gaps < REACH)))
         near = near[np.linspace(0, len(near) - 1, min(len(near), _CONTACTS)).astype(int)]
         return holds_weight(
             points[near], normals[near], self._centers[label.object_id], label.T_WO[2, :3], PhysicsConfig().friction
@@ -50,12 +57,24 @@ def _samples(body: Body) -> tuple[Array, Array]:
     return np.asarray(points), np.asarray(mesh.face_normals)[rows]
 
 
-def _gaps(points: Array, centers: Array, radii: Array) -> Array:
-    """(P,) m from points to the nearest of spheres; negative inside one."""
+def _cores(spheres: HandSpheres) -> HandSpheres:
+    """For each sphere the middle of what it is part of: its own, or for points of a box or hull their part's."""
+    centers = spheres.centers.copy()
+    for part in np.unique(spheres.parts):
+        own = (spheres.parts == part) & (spheres.radii == 0.0)
+        if own.any():
+            centers[own] = centers[own].mean(axis=0)
+    return HandSpheres(centers, spheres.radii, spheres.parts)
+
+
+def _gaps(points: Array, centers: Array, radii: Array) -> tuple[Array, Array]:
+    """(P,) m from points to the nearest of spheres, negative inside one, and (P,) which that is; inf beyond `REACH`."""
     from scipy.spatial import cKDTree
 
-    gaps = np.full(len(points), np.inf)
+    gaps, nearest = np.full(len(points), np.inf), np.zeros(len(points), int)
     for radius in np.unique(radii):
-        distance, _ = cKDTree(centers[radii == radius]).query(points, distance_upper_bound=radius + REACH)
-        np.minimum(gaps, distance - radius, out=gaps)
-    return gaps
+        own = np.flatnonzero(radii == radius)
+        distance, found = cKDTree(centers[own]).query(points, distance_upper_bound=radius + REACH)
+        closer = np.flatnonzero(distance - radius < gaps)
+        gaps[closer], nearest[closer] = distance[closer] - radius, own[found[closer]]
+    return gaps, nearest

@@ -197,10 +197,8 @@ def _describe(name: str, mesh: MeshFile, made: Made, mass: Mass) -> dict[str, An
         "shapes": figures["shapes"],
         "files": {file: hashlib.sha256(content).hexdigest() for file, content in sorted(files.items())},
     }  # fmt: skip
-    physics = {**body, "files": {file: digest for file, digest in body["files"].items() if file != store.PICTURE_FILE}}
-    identity = hashlib.sha256(json.dumps(physics, sort_keys=True).encode()).hexdigest()[:12]
     return {
-        "format": store.FORMAT, "schema": store.SCHEMA, "name": name, "id": f"{name}-{identity}",
+        "format": store.FORMAT, "schema": store.SCHEMA, "name": name, "id": store.object_id({"name": name, **body}),
         "source": {"file": mesh.path.name, "sha256": mesh.sha256, "units": figures["units"]},
         "frame": "the file's own, in m", **body,
         "figures": {key: figures[key] for key in _SHOWN},
@@ -228,4 +226,6 @@ def _write(folder: Path, files: dict[str, bytes], meta: dict[str, Any]) -> None:
         raise DataError(f"{folder}: cannot be written ({error.strerror or error})") from None
     finally:
         shutil.rmtree(fresh, ignore_errors=True)
+        if old.is_dir() and not os.path.lexists(folder):
+            old.rename(folder)  # Stopped between the two: what was there is there again.
         shutil.rmtree(old, ignore_errors=True)

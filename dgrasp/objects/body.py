@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from dgrasp.geometry.intersection import Body, body
-from dgrasp.geometry.shape_mesh import shape_mesh
+from dgrasp.geometry.shape_mesh import shape_mesh, shapes_vertices
+from dgrasp.objects.inertia import check_size
 from dgrasp.objects.model import ObjectModel
 from dgrasp.types import Array
 from raisim_like.shapes import Shape
@@ -34,13 +35,16 @@ class ObjectBody:
 def object_body(model: ObjectModel, objects_dir: Path) -> ObjectBody:
     """The object's detailed mesh where `objects_dir` has one, else its model's mesh, else its collision shapes.
 
-    Raises `DataError` for a damaged mesh.
+    Raises `DataError` for a mesh that is damaged or in another unit.
     """
     file = Path(objects_dir) / model.name / DETAILED_MESH
     detailed = file.is_file()
     mesh = file if detailed else model.mesh
     shapes: Sequence[Shape] = model.shapes if mesh is None else (Shape("mesh", file=mesh),)
-    return ObjectBody(body([shape_mesh(shape) for shape in shapes]), detailed, not detailed and mesh is not None)
+    parts = [shape_mesh(shape) for shape in shapes]
+    if detailed:
+        check_size(file, np.ptp(parts[0][0], axis=0), np.ptp(shapes_vertices(model.shapes), axis=0))
+    return ObjectBody(body(parts), detailed, not detailed and mesh is not None)
 
 
 def surface_points(of: Body, spacing: float) -> Array:

@@ -114,6 +114,17 @@ def load_mesh(path: Path) -> trimesh.Trimesh:
     return mesh
 
 
+def check_size(path: Path, extents: Array, expected: Sequence[float]) -> None:
+    """Raise a `DataError` unless a mesh file is of the size that it should have: centimetres are a hundredfold.
+
+    extents: its sides (3,) m. expected: the sides (3,) m that the object is known to have.
+    """
+    ratio = float(np.max(extents)) / max(expected)
+    if not 0.1 <= ratio <= 10.0:
+        raise DataError(f"{path}: its longest side is {np.max(extents):.3g} m, the object's {max(expected):.3g} m; "
+                        "expected metres. Convert the mesh, or name a release's folder that has it in metres")
+
+
 def mesh_properties(path: Path, convex: bool = False) -> MassProperties:
     """Of a mesh file, in the mesh's frame.
 

@@ -6,9 +6,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Literal
 
+import numpy as np
+
 from dgrasp.errors import DataError
 from dgrasp.objects.catalogue import MassSet, catalogue_object
-from dgrasp.objects.inertia import object_model
+from dgrasp.objects.inertia import check_size, load_mesh, object_model
 from dgrasp.objects.model import ObjectModel
 from dgrasp.objects.parts import convex_parts
 
@@ -25,7 +27,7 @@ def release_object(
     official_compat: centre of mass at the origin and 1 kg m^2 about every axis instead of the shape's own.
     concave: the authors' concave meshes as they are, or cut into convex parts, or ("auto") whichever of the two
     grasps more like the authors' simulation; centre of mass and inertia are the mesh's either way.
-    Raises `DataError` for an unknown name or a mesh that is missing or damaged.
+    Raises `DataError` for an unknown name or a mesh that is missing, damaged or in another unit.
     """
     entry = catalogue_object(name)
     shape = entry.collision
@@ -36,6 +38,7 @@ def release_object(
                 f"{file}: the collision mesh of {entry.name} is missing; expected a release's objects folder with "
                 f"{entry.name}/{file.name}. Point --data at a folder that has it, or use --data free"
             )
+        check_size(file, np.ptp(load_mesh(file).vertices, axis=0), entry.extents)
         shape = replace(shape, file=file)
     model = object_model(entry.name, (shape,), entry.mass(masses), official_compat)
     cut = concave == "parts" or (concave == "auto" and not entry.thin)

@@ -90,10 +90,20 @@ def read_meta(folder: Path) -> dict[str, Any]:
         _check(meta, folder)
     except (AttributeError, LookupError, TypeError, ValueError):
         raise DataError(f"{path}: the description is incomplete or has values out of range; {again}") from None
+    if meta["id"] != object_id(meta):
+        raise DataError(f"{path}: was changed after the object was added (its id is no longer that of mass, shapes and "
+                        f"files); {again}")
     for name, digest in meta["files"].items():
         if not os.path.isfile(folder / name) or file_digest(folder / name) != digest:
             raise DataError(f"{folder}: {name} is missing or was changed after the object was added; {again}")
     return meta
+
+
+def object_id(meta: dict[str, Any]) -> str:
+    """The name and a hash of all that the physics reads of a description."""
+    physics = {key: meta[key] for key in ("mass_kg", "center_of_mass_O", "inertia", "shapes")}
+    physics["files"] = {file: digest for file, digest in meta["files"].items() if file != PICTURE_FILE}
+    return f"{meta['name']}-{hashlib.sha256(json.dumps(physics, sort_keys=True).encode()).hexdigest()[:12]}"
 
 
 def file_digest(path: Path) -> str:

@@ -60,7 +60,8 @@
     slider.value = frame;
     find("time").textContent = `${t < 0 ? "\u2212" : "+"}${Math.abs(t).toFixed(2)} s`;
     const lost = loss !== null && frame > loss + 0.5;
-    const phase = lost ? `lost (${r.outcome})` : t < 0 ? "table there" : "table gone";
+    const phases = r.stays ? ["grasping", "moving"] : ["table there", "table gone"];
+    const phase = lost ? `lost (${r.outcome})` : phases[t < 0 ? 0 : 1];
     find("phase").textContent = phase;
     find("phase").dataset.lost = lost;
     stage.setAttribute("aria-label", `${r.object} ${r.index}, ${t.toFixed(2)} s, ${phase}`);
@@ -78,6 +79,7 @@
       if (frame !== null) find(id).style.left = `${(100 * Math.min(frame, last)) / last}%`;
     };
     mark("mark-table", r.start);
+    find("mark-table").title = r.stays ? "the motion begins" : "the table is taken away";
     mark("mark-loss", loss);
     find("replay-title").textContent = `${r.object} [${r.index}]`;
     const facts = [r.lost_s === null ? r.outcome : `${r.outcome}, lost after ${r.lost_s.toFixed(2)} s`];

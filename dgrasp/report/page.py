@@ -196,7 +196,7 @@ below.</p>
 <span><i class="gl-object"></i>object</span></p></div>
 <div class="controls"><button id="play" aria-label="Play"></button>
 <div class="timeline"><input type="range" id="scrub" min="0" max="1" step="any" value="0" aria-label="Time">
-<i id="mark-table" title="the table is taken away"></i><i id="mark-loss" title="lost"></i></div>
+<i id="mark-table" ></i><i id="mark-loss" title="lost"></i></div>
 <output id="time"></output><output id="phase"></output>
 <label>speed <select id="speed"><option value="0.1">0.1\u00d7</option><option value="0.25">0.25\u00d7</option>
 <option value="0.5">0.5\u00d7</option><option value="1" selected>1\u00d7</option>

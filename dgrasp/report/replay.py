@@ -88,6 +88,7 @@ def _replay(group: str, record: EpisodeRecord, row: Row, meshes: DisplayMeshes) 
         "outcome": told(row), "lost_s": row.get("lost_s"),
         "metrics": {name: row[name] for name in shown if name in row},
         "n": len(t), "bodies": t.shape[1], "dt": record.dt * stride, "start": (record.window_start - 1) / stride,
+        "stays": record.table_stays,
         "yaw": round(yaw, 3), "target": [round(float(x), 4) for x in target],
         "lo": lo, "step": step, "p": _text(places, "<u2"), "q": _text(np.rint(q * 32767.0), "<i2"),
         "c": _text(bits, "<u2"),

@@ -70,7 +70,7 @@ const Replays = (() => {
     ]);
   }
 
-  // Seconds since the table went; negative while it is there.
+  // Seconds since the grasp, when the table goes or the motion begins; negative before.
   const seconds = (r, frame) => (frame - r.start) * r.dt;
   const lossFrame = (r) => (r.lost_s === null ? null : r.start + r.lost_s / r.dt);
 
@@ -195,7 +195,7 @@ const Replays = (() => {
         canvas.height = Math.max(canvas.height, height);
       }
       const { matrix, eye } = camera(view, r.target, width / height);
-      const top = frame <= r.start ? scene.table.on : scene.table.lowered;
+      const top = r.stays || frame <= r.start ? scene.table.on : scene.table.lowered;
       gl.viewport(0, canvas.height - height, width, height);
       gl.clearColor(0, 0, 0, 0);
       gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT | gl.STENCIL_BUFFER_BIT);

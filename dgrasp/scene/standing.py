@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from dgrasp.geometry.shape_mesh import shape_mesh
+from dgrasp.geometry.shape_mesh import shapes_vertices
 from dgrasp.objects.model import ObjectModel
 from dgrasp.scene.scene import TABLE_TOP
 from dgrasp.types import Array, GraspLabel, StartPose
@@ -29,7 +29,7 @@ def standing(labels: Sequence[GraspLabel], objects: Mapping[str, ObjectModel]) -
             continue
         name = label.object_id
         if name not in vertices:
-            vertices[name] = np.concatenate([shape_mesh(shape)[0] for shape in objects[name].shapes])
+            vertices[name] = shapes_vertices(objects[name].shapes)
         lowest = float((vertices[name] @ label.T_WO[2, :3]).min())
         shift = np.array([*PLACE_XY, TABLE_TOP - lowest]) - label.T_WO[:3, 3]
         start = label.start

@@ -52,9 +52,7 @@ def render_record(
             scene.hand.set_base_pose(origin, quaternion_from_matrix(R_WH0))
             scene.hand.set_state(gc)
             scene.object.set_state(record.T_WO[t, :3, 3], quaternion_from_matrix(record.T_WO[t, :3, :3]))
-            # A motion that began with a grasp keeps its table.
-            stays = record.target_T_WO is not None and record.window_start > 0
-            scene.set_table_top(TABLE_TOP if stays or t < record.window_start else LOWERED_TOP)
+            scene.set_table_top(TABLE_TOP if record.table_stays or t < record.window_start else LOWERED_TOP)
             frames.append(world.render(eye, target, *size).copy())
         return frames
     finally:
@@ -81,11 +79,15 @@ def render_state(state: SceneState, row: int, spec: PoolSpec, size: tuple[int, i
 
 
 def gif_bytes(frames: Sequence[Array], frame_s: float) -> bytes:
-    """An endless GIF of frames (height, width, 3) uint8, each shown for `frame_s` seconds."""
+    """An endless GIF of frames (height, width, 3) uint8, shown for `frame_s` seconds each on average.
+
+    GIF counts whole hundredths of a second, and few viewers show a frame for less than two.
+    """
+    ends = np.rint(np.arange(len(frames) + 1) * max(frame_s, 0.02) * 100.0).astype(int)
     images = [Image.fromarray(frame).quantize(colors=96, dither=Image.Dither.NONE) for frame in frames]
     stream = io.BytesIO()
     images[0].save(
-        stream, "GIF", save_all=True, append_images=images[1:], duration=max(20, round(1000 * frame_s)), loop=0
+        stream, "GIF", save_all=True, append_images=images[1:], duration=(10 * np.diff(ends)).tolist(), loop=0
     )
     return stream.getvalue()
 

@@ -109,4 +109,4 @@ def blendable(R: Array) -> Array:
 
 def table_tops(record: EpisodeRecord, on: float, lowered: float) -> Array:
     """(T,) m: height of the table's top during each step."""
-    return np.where(np.arange(len(record.gc)) < record.window_start, on, lowered)
+    return np.where(record.table_stays | (np.arange(len(record.gc)) < record.window_start), on, lowered)

@@ -78,13 +78,16 @@ def _undamp(client: int, uid: int, link: int, **also: Any) -> None:
 
 
 def _collision_shape(client: int, shape: Shape) -> int:
-    index = p.createCollisionShape(
-        SHAPE_TYPES[shape.kind],
-        collisionFramePosition=list(shape.position),
-        collisionFrameOrientation=xyzw(shape.quaternion),
-        physicsClientId=client,
-        **geometry(shape),
-    )
+    try:
+        index = p.createCollisionShape(
+            SHAPE_TYPES[shape.kind],
+            collisionFramePosition=list(shape.position),
+            collisionFrameOrientation=xyzw(shape.quaternion),
+            physicsClientId=client,
+            **geometry(shape),
+        )
+    except p.error as error:
+        raise EngineError(f"PyBullet refused the collision shape {shape}: {error}") from None
     if index < 0:
         raise EngineError(f"PyBullet refused the collision shape {shape}")
     return int(index)

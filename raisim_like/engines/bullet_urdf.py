@@ -22,7 +22,8 @@ LIGHT_INERTIA = 1e-6
 """Inertia that the light hand, which the controller imitates, has per link."""
 MIN_MASS = 1e-5
 """kg. PyBullet fixes links without mass."""
-
+FAR = 1e3
+"""m. The limit of a slider that has none: PyBullet takes no prismatic joint without."""
 
 _BASE = (
     '<link name="base"><inertial><mass value="0"/>'
@@ -73,8 +74,12 @@ def normalised_urdf(model: UrdfModel, enforce_limits: bool = True) -> str:
             f'<parent link="{parent}"/><child link="link{i}"/>{_origin(link.origin)}'
             f'<axis xyz="{" ".join(repr(float(v)) for v in link.axis)}"/>'
         )
-        if np.isfinite(link.lower):
-            lines.append(f'<limit lower="{link.lower!r}" upper="{link.upper!r}" effort="1000" velocity="100"/>')
+        lower, upper = link.lower, link.upper
+        if link.kind == "prismatic" and not (enforce_limits and np.isfinite(lower)):
+            # A prismatic joint needs a limit; this one is never reached.
+            lower, upper = -FAR, FAR
+        if np.isfinite(lower):
+            lines.append(f'<limit lower="{lower!r}" upper="{upper!r}" effort="1000" velocity="100"/>')
         lines.append("</joint>")
     lines.append("</robot>")
     return "\n".join(lines)

@@ -122,6 +122,12 @@ def test_another_reader_finds_the_same_scene() -> None:
     assert pose[:3, 3] == pytest.approx([0.5, 0.6, 0.0], abs=1e-6)
 
 
+def test_a_motion_keeps_the_table_of_its_grasp() -> None:
+    document = Parsed(glb_bytes(sequence(target_T_WO=np.eye(4)))).document
+    assert all(c["target"]["node"] != 17 for c in document["animations"][0]["channels"])
+    assert document["asset"]["extras"]["table_gone_s"] is None
+
+
 def test_a_table_that_is_gone_from_the_start_does_not_move() -> None:
     document = Parsed(glb_bytes(sequence(window_start=0))).document
     assert all(c["target"]["node"] != 17 for c in document["animations"][0]["channels"])

@@ -1,6 +1,8 @@
 from __future__ import annotations
 
 import io
+import json
+import tempfile
 from pathlib import Path
 from typing import Any
 
@@ -53,6 +55,14 @@ def changed(path: Path, **members: Any) -> Path:
     return path
 
 
+def described(**changes: Any) -> Array:
+    """The description of a sequence with changes."""
+    with tempfile.TemporaryDirectory() as folder:
+        write_sequence(Path(folder) / "a.npz", sequence())
+        with np.load(Path(folder) / "a.npz") as archive:
+            return np.array(json.dumps(json.loads(str(archive["meta"])) | changes))
+
+
 @pytest.mark.parametrize(
     ("members", "said"),
     [
@@ -63,6 +73,12 @@ def changed(path: Path, **members: Any) -> Path:
         ({"mesh_faces": np.full((36, 3), 9, np.int32)}, "a face of palm has a vertex that is not there"),
         ({"meta": np.array('{"format": "dgrasp-sequence", "schema": 2}')}, "schema 2; this program reads 1"),
         ({"meta": np.array('{"format": "dgrasp-sequence", "schema": 1}')}, "description is incomplete"),
+        ({"meta": described(table={})}, r"incomplete or wrong \(table\)"),
+        ({"meta": described(label={"object": "a", "index": "x", "source": "", "hand": "", "on_table": True})},
+         r"wrong \(label\)"),
+        ({"meta": described(mano="x")}, r"wrong \(mano\)"),
+        ({"meta": described(window_start=-5)}, r"wrong \(window_start\)"),
+        ({"offsets": np.full((16, 3), np.inf)}, "NaN or infinity"),
         ({"meta": np.array("[")}, "no stored sequence"),
         ({"meta": None}, "no member meta"),
     ],

@@ -111,6 +111,7 @@ BAD = {
     "wrong axis": (joint_changed("index_proximal_ry", "0 1 0", "0 0 1"), "about axis y"),
     "turned frame": (joint_changed("ring_middle_rx", 'rpy="0 0 0"', 'rpy="0 0 0.3"'), "parallel"),
     "apart": (joint_changed("ring_middle_ry", 'xyz="0 0 0"', 'xyz="0 0.01 0"'), "share its origin"),
+    "base apart": (joint_changed("wrist_tx", 'xyz="0 0 0"', 'xyz="0.05 0 0"'), "share its origin with the hand's base"),
     "wrong parent": (joint_changed("middle_proximal_rx", 'link="palm"', 'link="index_distal"'), "must hang on"),
     "no tip": (joint_changed("little_tip_joint", 'link="little_distal"', 'link="palm"'), "little_distal needs one"),
     "not xml": (replaced("</robot>", ""), "not valid XML"),

@@ -11,6 +11,7 @@ import pytest
 from dgrasp.cli import main
 from dgrasp.geometry.intersection import Body, body
 from dgrasp.geometry.shape_mesh import shape_mesh
+from dgrasp.labels.distance import HandSpheres, part_poses
 from dgrasp.labels.measure import Finding, duplicates, measure_labels
 from dgrasp.labels.native import read_native, write_native
 from dgrasp.labels.weight import Carrying
@@ -84,6 +85,26 @@ def test_the_table() -> None:
     assert free.table_mm is None and free.problems == []
 
 
+def test_an_object_beside_the_table() -> None:
+    one = label((0.025, 0, 0))
+    for x, y, beside in ((0.24, 0.0, True), (0.26, 0.49, False), (2.26, 0.0, True), (0.6, -0.51, True)):
+        moved = np.array([x - 0.6, y, 0.0])
+        T_WH, T_WO = one.T_WH.copy(), one.T_WO.copy()
+        T_WH[:3, 3] += moved
+        T_WO[:3, 3] += moved
+        there = dataclasses.replace(one, T_WH=T_WH, T_WO=T_WO, joints_W=one.joints_W + moved)
+        assert ("object beside the table" in measured(there)[0].problems) == beside
+        assert not measured(dataclasses.replace(there, on_table=False))[0].beside
+
+
+def test_what_stands_on_the_table_is_what_is_simulated() -> None:
+    # 20 mm longer than the surface at both ends.
+    longer = {"box": np.array([[0.02, 0.03, 0.07], [-0.02, -0.03, -0.07]])}
+    (finding,) = measure_labels([label((0.025, 0, 0))], HAND, Cube(), {"box": BOX}, simulated=longer)
+    assert finding.table_mm == pytest.approx(-20.0, abs=1e-6)
+    assert finding.penetration_cm3 == pytest.approx(2.0, abs=1e-4)
+
+
 def test_a_hand_that_would_be_under_the_table() -> None:
     # Over the object at the grasp, which lies upside down at its start.
     one = label((0.0, 0.0, 0.15))
@@ -114,6 +135,15 @@ def test_what_touches_too_little_does_not_carry() -> None:
     free = dataclasses.replace(labels[0], T_WH=back, on_table=False)
     bodies = {model.name: object_body(model, Path()).body}
     assert measure_labels([free], HAND, Cube(), bodies, carrying=carrying)[0].carries
+
+
+def test_the_far_side_of_a_thin_wall_is_not_touched() -> None:
+    # An upright plate, 3 mm thick, and a hand 1 mm beside it: if its other side counted, it would be pinched.
+    carrying = Carrying(HAND, {"box": body([shape_mesh(Shape("box", (0.003, 0.6, 0.6)))])}, {"box": np.zeros(3)})
+    spheres = HandSpheres.of_hand(HAND)
+    at_rest = spheres.place(*part_poses(HAND, np.eye(4)[None], np.zeros((1, 45))))[0]
+    nearest = float((at_rest[:, 0] - spheres.radii).min())
+    assert not carrying.carries(label((0.0015 + 0.001 - nearest, 0.0, 0.0)))
 
 
 def test_limits_frames_and_contacts() -> None:

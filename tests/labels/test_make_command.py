@@ -44,7 +44,7 @@ def test_the_command_writes_both_splits(
 
     monkeypatch.setattr(make_command, "ProcessPoolExecutor", Here)
     out = tmp_path / "set.npz"
-    words = ["--objects", "061", "--number", "3", "--out", str(out), "--test", "1"]
+    words = ["--objects", "061", BRICK, "--number", "3", "--out", str(out), "--test", "1"]
     assert run_command("labels make", words) == 0
     train, meta = read_native_with_meta(tmp_path / "set_train.npz")
     test, _ = read_native_with_meta(tmp_path / "set_test.npz")

@@ -18,6 +18,7 @@ from dgrasp.labels.conventions import CHOICES, read_grasps
 from dgrasp.labels.mano_params import ManoParams, hand_vertices, wrist_joints
 from dgrasp.labels.mano_table import read_mano_table
 from dgrasp.labels.native import read_native, read_native_with_meta
+from dgrasp.scene.standing import PLACE_XY
 from dgrasp.types import Array
 from tests.labels.mini_dexycb import MiniDexYcb, make_mini
 from tests.labels.mini_hand import write_mini_hand
@@ -121,11 +122,13 @@ def test_a_table_and_its_height(mini: MiniDexYcb, tmp_path: Path) -> None:
     assert import_file(mini, file, *words(GIVEN), "--table", "-0.25") == 0
     _, T_AO, T_OH = grasps(mini)
     label = read_native(mini.root / "out.npz")[1]
-    # The top goes from z = -0.25 to 0.5: all rises by 0.75.
-    shift = np.array([0.0, 0.0, 0.75])
-    np.testing.assert_allclose(label.T_WO[:3, 3], T_AO[2, :3, 3] + shift, atol=1e-12)
-    np.testing.assert_allclose(label.T_WH, np.vstack([(T_AO[2] @ T_OH[2])[:2], (T_AO[2] @ T_OH[2])[2] + [0, 0, 0, 0.75],
-                                                      [0, 0, 0, 1]]), atol=1e-9)
+    # The top goes from z = -0.25 to 0.5: all rises by 0.75. The object comes to stand where all do.
+    shift = np.array([*(np.array(PLACE_XY) - T_AO[2, :2, 3]), 0.75])
+    expected = T_AO[2].copy()
+    expected[:3, 3] += shift
+    np.testing.assert_allclose(label.T_WO, expected, atol=1e-12)
+    np.testing.assert_allclose(label.T_WO[:2, 3], PLACE_XY, atol=1e-12)
+    np.testing.assert_allclose(label.T_WH, expected @ T_OH[2], atol=1e-9)
     assert label.on_table
 
 

@@ -150,16 +150,39 @@ def test_files_that_were_changed_are_refused(file: Path, tmp_path: Path) -> None
         ({"shapes": []}, "out of range"),
         ({"shapes": [{**meta["shapes"][0], "size": [1.0]}]}, "out of range"),
         ({"shapes": [{**meta["shapes"][0], "kind": "hull", "size": [], "file": "../x.obj"}]}, "out of range"),
-        ({"files": {"mesh.obj": "0" * 64}}, r"mesh\.obj is missing or was changed"),
+        ({"files": {"mesh.obj": "0" * 64}}, "its id is no longer that"),
+        ({"mass_kg": 2.0 * meta["mass_kg"]}, "its id is no longer that"),
+        ({"shapes": [{**meta["shapes"][0], "position": [0.0, 0.0, 0.1]}]}, "its id is no longer that"),
         ({"files": {"../mesh.obj": "0" * 64}}, "out of range"),
         ({"name": "other"}, "out of range"),
     ):
         (folder / META_FILE).write_text(json.dumps(meta | change))
         with pytest.raises(DataError, match=reason):
             load_object(folder, False)
+    (folder / META_FILE).write_text(json.dumps(meta))
+    (folder / "mesh.obj").write_text("v 0 0 0\n")
+    with pytest.raises(DataError, match=r"mesh\.obj is missing or was changed"):
+        load_object(folder, False)
     (folder / META_FILE).write_text("{")
     with pytest.raises(DataError, match="cannot be read"):
         load_object(folder, False)
+
+
+def test_a_replacement_that_is_stopped_leaves_what_was_there(
+    file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = add_box(file, tmp_path / "objects").folder
+    before, rename = (folder / META_FILE).read_bytes(), Path.rename
+
+    def stopped(self: Path, to: Path) -> Path:
+        if Path(to) == folder and not self.name.endswith(".old"):  # the new one to its place
+            raise KeyboardInterrupt
+        return rename(self, to)
+
+    monkeypatch.setattr(Path, "rename", stopped)
+    with pytest.raises(KeyboardInterrupt):
+        add_box(file, tmp_path / "objects", mass=Mass(kg=1.0), replace=True)
+    assert (folder / META_FILE).read_bytes() == before and [p.name for p in folder.parent.iterdir()] == [folder.name]
 
 
 def test_an_object_of_parts_brings_its_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

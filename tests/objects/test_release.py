@@ -10,6 +10,7 @@ import trimesh
 
 from dgrasp.errors import DataError
 from dgrasp.labels.joblib_reader import read_joblib_arrays
+from dgrasp.objects.body import DETAILED_MESH, object_body
 from dgrasp.objects.catalogue import CATALOGUE, LABEL_TYPES, CatalogueObject, catalogue_object
 from dgrasp.objects.names import YCB_NAMES
 from dgrasp.objects.release import release_object
@@ -65,6 +66,19 @@ def test_hull_of_a_mesh_file(tmp_path: Path) -> None:
     assert model.inertia[2, 2] == pytest.approx(0.729 * 2 * 0.085**2 / 12)
     compatible = release_object(tmp_path, "036_wood_block", "ycb", official_compat=True)
     assert np.array_equal(compatible.center_of_mass_O, np.zeros(3)) and np.array_equal(compatible.inertia, np.eye(3))
+
+
+def test_millimetres_are_refused(tmp_path: Path) -> None:
+    (tmp_path / "036_wood_block").mkdir()
+    file = tmp_path / "036_wood_block" / "mesh_aligned.obj"
+    trimesh.creation.box((85.0, 85.0, 200.0)).export(file)
+    with pytest.raises(DataError, match=r"mesh_aligned\.obj: its longest side is 200 m, the object's 0\.2 m"):
+        release_object(tmp_path, "036_wood_block", "ycb", official_compat=True)
+    trimesh.creation.box((0.085, 0.085, 0.2)).export(file)
+    model = release_object(tmp_path, "036_wood_block", "ycb", official_compat=True)
+    trimesh.creation.box((8.5, 8.5, 20.0)).export(file.with_name(DETAILED_MESH))
+    with pytest.raises(DataError, match=r"textured_meshlab\.obj: its longest side is 20 m"):
+        object_body(model, tmp_path)
 
 
 @pytest.mark.parametrize("compat", [True, False])

@@ -211,6 +211,13 @@ def test_bad_bodies_are_refused(world: World, tmp_path: Path) -> None:
         world.add_body([], 1.0, np.eye(3))
     with pytest.raises(EngineError, match=r"absent\.obj does not exist"):
         world.add_body([Shape("hull", file=tmp_path / "absent.obj")], 1.0, np.eye(3))
+    for mass in (np.nan, -1.0):
+        with pytest.raises(ValueError, match="a mass of"):
+            world.add_sphere(0.1, mass)
+    (tmp_path / "damaged.obj").write_text("v 0 0")
+    with pytest.raises(EngineError):
+        world.add_body([Shape("hull", file=tmp_path / "damaged.obj")], 1.0, np.eye(3))
+        world.integrate(1)  # MuJoCo's world is built here
     body = world.add_sphere(0.1, 1.0)
     with pytest.raises(ValueError, match="finite"):
         body.set_state((0, 0, np.nan))

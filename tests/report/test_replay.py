@@ -71,6 +71,7 @@ def test_a_target_is_one_more_body() -> None:
     target = np.eye(4)
     target[:3, 3] = [0.4, 0.1, 0.9]
     (one,) = packed(target_T_WO=target)["replays"]
+    assert one["stays"] and not packed()["replays"][0]["stays"]
     assert one["bodies"] == 18 and packed()["replays"][0]["bodies"] == 17
     places = (np.array(one["lo"]) + one["step"] * numbers(one["p"], "<u2", 3)).reshape(STEPS, 18, 3)
     assert places[:, 17] == pytest.approx(np.tile([0.4, 0.1, 0.9], (STEPS, 1)), abs=1e-4)

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -101,6 +103,10 @@ def test_broken_steps_repeat_the_last_whole_one() -> None:
 def test_the_table_and_the_camera() -> None:
     record = episode()
     assert table_tops(record, 0.5, 0.25).tolist() == [0.5] * 3 + [0.25] * (STEPS - 3)
+    moved = replace(record, target_T_WO=np.eye(4))
+    assert table_tops(moved, 0.5, 0.25).tolist() == [0.5] * STEPS
+    # A motion that begins in the label's pose has no table.
+    assert table_tops(replace(moved, window_start=0), 0.5, 0.25).tolist() == [0.25] * STEPS
     target, yaw = viewpoint(record)
     # At step 2: 0.65 of the object (0.5, 0, 0.58), 0.35 of the wrist (0.5, 0.1, 0.7), and 5 cm lower.
     assert target == pytest.approx([0.5, 0.035, 0.65 * 0.58 + 0.35 * 0.7 - 0.05])
