@@ -190,10 +190,10 @@ class PpoConfig(Section):
     """PPO with the paper's hyperparameters (supplement, Table of PPO) and the authors' choices.
 
     Training ends after `epochs`, with the last epoch that `max_steps` control steps of all environments together allow,
-    or with the first that ends after `max_minutes`; whichever comes first. normalise_returns: the
-    critic learns returns of mean 0 and variance 1. separate_clipping: actor and critic have a gradient norm
-    each. advantages_per_minibatch: normalise them there and not over the epoch. output_gain: of the actor's
-    last layer at the start. threads: of the update on a CPU, during which the workers wait; another number
+    or with the first that ends after `max_minutes` since it was begun or resumed; whichever comes first.
+    normalise_returns: the critic learns returns of mean 0 and variance 1. separate_clipping: actor and critic have a
+    gradient norm each. advantages_per_minibatch: normalise them there and not over the epoch. output_gain: of the
+    actor's last layer at the start. threads: of the update on a CPU, during which the workers wait; another number
     changes the last bits of the weights.
     """
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import csv
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -56,12 +56,19 @@ class Run:
     @property
     def epochs(self) -> int:
         """How many epochs `ppo.epochs` and `ppo.max_steps` allow."""
-        ppo, last = self.config.ppo, [(int(row["epoch"]), int(row["control_steps"])) for row in self.rows[-2:]]
-        if ppo.max_steps is None or len(last) < 2:
+        ppo, labels = self.config.ppo, self.data.get("n_labels")
+        if ppo.max_steps is None or not self.rows or not isinstance(labels, int):
             return ppo.epochs
-        (before, made_before), (epoch, made) = last
-        left = max(0, ppo.max_steps - made) * (epoch - before) // max(1, made - made_before)
-        return min(ppo.epochs, max(1, epoch + left))
+        last, steps = int(self.number("epoch")), int(self.number("control_steps"))
+        if last > 0 and self.config.labels.per_epoch is None:
+            # In the task motion only the labels whose grasp is stable take part.
+            labels = min(labels, steps // last // self.config.learned_steps(last))
+        while last < ppo.epochs:
+            steps += self.config.learned_steps(last + 1) * self.config.labels.in_epoch(last + 1, labels)
+            if steps > ppo.max_steps:
+                break
+            last += 1
+        return max(1, last)
 
     @property
     def curve(self) -> list[tuple[int, float]]:
@@ -72,6 +79,10 @@ class Run:
     def best(self) -> float | None:
         """The best evaluation's success, or None before the first."""
         return max((success for _, success in self.curve), default=None)
+
+    def until(self, epoch: int) -> Run:
+        """The run as it was when an epoch was complete."""
+        return replace(self, rows=[row for row in self.rows if int(row["epoch"]) <= epoch])
 
     def number(self, column: str) -> float:
         """The last value in a column of progress.csv; 0 where there is none."""

@@ -26,6 +26,7 @@ from dgrasp.motion.targets import draw_targets
 from dgrasp.paths import cfg_root
 from dgrasp.pool import Pool, PoolSpec, make_pool
 from dgrasp.rl import checkpoint
+from dgrasp.rl.lock import only_run
 from dgrasp.rl.log import write_description
 from dgrasp.rl.networks import Policy
 from dgrasp.rl.runner import Runner
@@ -77,14 +78,15 @@ def main(arguments: argparse.Namespace) -> int:
         if arguments.data is not None:
             overrides.append(f"data={json.dumps(arguments.data)}")
         config = load_config(find_config(arguments.cfg), overrides)
-        run_dir = arguments.run or next_run(config.name)
-        if run_dir.exists() and (not run_dir.is_dir() or any(run_dir.iterdir())):
-            raise ConfigError(f"{run_dir} exists already; continue it with --resume {run_dir}, or choose another --run")
+        run_dir = arguments.run
+        if run_dir is not None and run_dir.exists() and (not run_dir.is_dir() or any(run_dir.iterdir())):
+            raise _exists(run_dir)
     frozen_policy(config)
     choice = resolve(config)
     print(choice.describe(), flush=True)
     if arguments.resume is None:
-        start_run(run_dir, config, choice)
+        run_dir = run_dir or next_run(config.name)
+        start_run(run_dir, config, choice, new=True)
     resume = arguments.resume is not None and bool(checkpoint.saved(run_dir))
     if arguments.resume is not None and not resume:
         print(f"{run_dir} was stopped before its first checkpoint, so it begins anew", flush=True)
@@ -103,20 +105,42 @@ def _saved_config(run_dir: Path, arguments: argparse.Namespace) -> Config:
     return load_config(file, overrides)
 
 
+def _exists(run_dir: Path) -> ConfigError:
+    return ConfigError(f"{run_dir} exists already; continue it with --resume {run_dir}, or choose another --run")
+
+
 def next_run(name: str) -> Path:
-    """runs/NAME_K with the first K that is free."""
+    """Makes runs/NAME_K with the first K that is free: of runs that begin together each has its own."""
     root = Path("runs")
-    matches = (re.fullmatch(rf"{re.escape(name)}_(\d+)", path.name) for path in root.glob(f"{name}_*"))
-    return root / f"{name}_{max((int(m.group(1)) for m in matches if m), default=0) + 1}"
+    while True:
+        matches = (re.fullmatch(rf"{re.escape(name)}_(\d+)", path.name) for path in root.glob(f"{name}_*"))
+        run_dir = root / f"{name}_{max((int(m.group(1)) for m in matches if m), default=0) + 1}"
+        try:
+            run_dir.mkdir(parents=True)
+            return run_dir
+        except FileExistsError:
+            continue
+        except OSError as error:
+            raise _not_made(run_dir, error) from None
 
 
-def start_run(run_dir: Path, config: Config, choice: DataChoice) -> None:
-    """Make the run directory with its config and its data stamp."""
+def _not_made(run_dir: Path, error: OSError) -> DataError:
+    return DataError(f"{run_dir}: the run directory cannot be made ({error.strerror})")
+
+
+def start_run(run_dir: Path, config: Config, choice: DataChoice, new: bool = False) -> None:
+    """Make the run directory with its config and its data stamp.
+
+    `ConfigError` where another process trains, or, with `new`, has begun to.
+    """
     try:
         run_dir.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise DataError(f"{run_dir}: the run directory cannot be made ({error.strerror})") from None
-    write_description(run_dir, config, choice.stamp())
+        raise _not_made(run_dir, error) from None
+    with only_run(run_dir):
+        if new and (run_dir / "config.yaml").exists():
+            raise _exists(run_dir)
+        write_description(run_dir, config, choice.stamp())
 
 
 def train(run_dir: Path, config: Config, choice: DataChoice, resume: bool = False) -> None:

@@ -91,16 +91,15 @@ def evaluate_labels(
 
     However many labels there are, no more than `AT_ONCE` of them are in memory; the records are the same to the bit.
     """
-    config, n = spec.config, len(spec.labels)
+    config, parts, total = spec.config, parts_of(spec), evaluation_steps(spec, method)
     window = config.eval.window_s
-    parts, total = _parts(spec), evaluation_steps(spec, method)
     records: list[EpisodeRecord] = []
     costs: list[Cost] = []
     events: list[str] = []
-    for k in range(parts):
-        pool = make_pool(replace(spec, labels=spec.labels[k * n // parts : (k + 1) * n // parts]))
+    for k, part in enumerate(parts):
+        pool = make_pool(replace(spec, labels=spec.labels[part]))
         try:
-            made, cost = evaluate(pool, method, config, window, shifted(progress, k * total // parts, total))
+            made, cost = evaluate(pool, method, config, window, shifted(progress, k * total // len(parts), total))
             events += pool.drain_events()
         finally:
             pool.close()
@@ -109,14 +108,17 @@ def evaluate_labels(
     return records, summed(costs), events
 
 
-def _parts(spec: PoolSpec) -> int:
-    n = max(1, len(spec.labels))
-    return -(-n // AT_ONCE.get(spec.config.engine, n))
+def parts_of(spec: PoolSpec) -> list[slice]:
+    """The labels that are simulated side by side, `AT_ONCE` of them at most, one part after another."""
+    n = len(spec.labels)
+    parts = max(1, -(-n // AT_ONCE.get(spec.config.engine, max(1, n))))
+    return [slice(k * n // parts, (k + 1) * n // parts) for k in range(parts)]
 
 
 def evaluation_steps(spec: PoolSpec, method: Method) -> int:
     """How many steps `evaluate_labels` tells its progress in."""
-    return _parts(spec) * (grasp_steps(method, spec.config) + window_steps(spec.config, spec.config.eval.window_s))
+    episode = grasp_steps(method, spec.config) + window_steps(spec.config, spec.config.eval.window_s)
+    return len(parts_of(spec)) * episode
 
 
 def shifted(progress: Progress | None, done: int, total: int) -> Progress | None:

@@ -24,6 +24,7 @@ from dgrasp.eval.evaluator import (
     evaluate_labels,
     evaluation_steps,
     grasp_steps,
+    parts_of,
     run_episodes,
     shifted,
     summed,
@@ -93,7 +94,7 @@ def run_motions(
     steps = max(motion.steps, targets.T.shape[1])
     episode = grasp_steps(method, config) + steps
     test_steps = evaluation_steps(spec, method)
-    total = len(which) * episode + (test_steps if motion.stable_alone else 0)
+    total = len(which) * len(parts_of(spec)) * episode + (test_steps if motion.stable_alone else 0)
     stable, done = np.ones(len(spec.labels), bool), 0
     costs: list[Cost] = []
     events: list[str] = []
@@ -101,18 +102,21 @@ def run_motions(
         stable, cost, events = stable_grasps(spec, method, shifted(progress, 0, total))
         costs, done = [cost], test_steps
     spec = dataclasses.replace(spec, labels=[label for label, ok in zip(spec.labels, stable, strict=True) if ok])
-    rounds = []
-    pool = make_pool(spec)
-    try:
-        for row in which[:, stable]:
-            path = targets.place(row, spec.labels)
-            records, cost = move(pool, method, config, path, steps, shifted(progress, done, total))
-            rounds.append(records)
-            costs.append(cost)
-            done += episode
-        events += pool.drain_events()
-    finally:
-        pool.close()
+    total = done + len(which) * len(parts_of(spec)) * episode
+    rounds: list[list[EpisodeRecord]] = [[] for _ in which]
+    for part in parts_of(spec):
+        labels = spec.labels[part]
+        pool = make_pool(dataclasses.replace(spec, labels=labels))
+        try:
+            for made, row in zip(rounds, which[:, stable][:, part], strict=True):
+                path = targets.place(row, labels)
+                records, cost = move(pool, method, config, path, steps, shifted(progress, done, total))
+                made += records
+                costs.append(cost)
+                done += episode
+            events += pool.drain_events()
+        finally:
+            pool.close()
     return Motions(
         [records[i] for i in range(len(spec.labels)) for records in rounds],
         which[:, stable].T.ravel().tolist(), stable, steps, targets.T.shape[1], summed(costs), events,

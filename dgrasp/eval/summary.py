@@ -149,7 +149,8 @@ def code_version() -> str:
     return __version__
 
 
-def _is_metric(name: str, value: Any) -> bool:
+def is_metric(name: str, value: Any) -> bool:
+    """Whether an entry of a row is a number that is averaged."""
     return name not in NO_METRICS and isinstance(value, (bool, int, float, np.bool_, np.number))
 
 
@@ -161,7 +162,7 @@ def _checked(row: Mapping[str, Any]) -> Row:
         if value is None:
             continue
         out[name] = value.item() if isinstance(value, np.generic) else value
-        if _is_metric(name, value) and not np.isfinite(float(value)):
+        if is_metric(name, value) and not np.isfinite(float(value)):
             raise DataError(f"{place}: metric {name} is {value}; expected a finite number, or no entry where it "
                             "could not be computed")
     return out
@@ -173,7 +174,7 @@ def _by_metric(groups: Mapping[str, Sequence[Row]]) -> dict[str, dict[str, list[
     for name, rows in groups.items():
         for row in rows:
             for metric, value in row.items():
-                if _is_metric(metric, value):
+                if is_metric(metric, value):
                     values.setdefault(metric, {}).setdefault(name, []).append(float(value))
     return values
 
@@ -183,7 +184,7 @@ def _means(rows: Sequence[Mapping[str, Any]]) -> Means:
     values: dict[str, list[float]] = {}
     for row in rows:
         for name, value in row.items():
-            if _is_metric(name, value):
+            if is_metric(name, value):
                 values.setdefault(name, []).append(float(value))
     return {name: float(np.mean(column)) for name, column in values.items()}
 

@@ -67,10 +67,9 @@ class Log:
         columns = [*_FIXED_COLUMNS, *map(_column, [*tags, *self._evaluated])]
         with self._writing():
             rows = _rows_until(self._csv, resumed_epoch) if resumed_epoch else []
-            if resumed_epoch:
-                # What the run was resumed with is what it is from now on.
-                write_description(run_dir, config, data_stamp)
-                self._forget_incidents(resumed_epoch)
+            # What the run was begun or resumed with is what it is from now on.
+            write_description(run_dir, config, data_stamp)
+            self._forget_incidents(resumed_epoch)
             self._columns = list(rows[0]) if rows else columns
             self._seconds_before = float(rows[-1]["seconds"]) if rows else 0.0
             self._core_hours_before = float(rows[-1].get("core_hours") or 0.0) if rows else 0.0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import time
 from collections.abc import Callable, Mapping
@@ -14,7 +15,7 @@ import torch
 from dgrasp import __version__
 from dgrasp.config import Config
 from dgrasp.config_values import flat_keys
-from dgrasp.errors import ConfigError
+from dgrasp.errors import ConfigError, DGraspError
 from dgrasp.rl import checkpoint as checkpoints
 from dgrasp.rl.checkpoint import Checkpoint
 from dgrasp.rl.interrupts import Preempted, interruptible, uninterruptible
@@ -86,6 +87,7 @@ class Runner:
         self.epoch = self._resumed_epoch = self._resumed_steps = 0
         self.best_success: float | None = None
         self._notices: list[str] = []
+        self._lost_steps = 0
         if resume:
             self._restore()
         elif checkpoints.saved(run_dir):
@@ -98,6 +100,12 @@ class Runner:
             try:
                 with self._open_log() as log:
                     self._learn(log)
+            except DGraspError:
+                # A pool that is lost for good, a gradient that is not finite: what was learned before stays.
+                if self._completed.epoch > self._resumed_epoch:
+                    with uninterruptible(), contextlib.suppress(DGraspError):
+                        self._save()
+                raise
             except KeyboardInterrupt as stop:
                 with uninterruptible():
                     path = self._save()
@@ -115,10 +123,12 @@ class Runner:
         for epoch in range(self.epoch + 1, last_epoch + 1):
             generator = epoch_generator(self.config.seed, epoch)
             started = time.monotonic()
+            lost = self._lost_steps
             rewards = self._collect(epoch, log)
             collected = time.monotonic()
             statistics = self.ppo.update(self.rollout, generator)
-            speed = self._speed(epoch, collected - started, time.monotonic() - collected)
+            steps = self._steps_in(epoch) - (self._lost_steps - lost)
+            speed = self._speed(steps, collected - started, time.monotonic() - collected)
             last = epoch == last_epoch or time.monotonic() > deadline
             self._complete(epoch, {**rewards, **_tagged("ppo", statistics), **speed}, log, last)
             if epoch % self.config.checkpoint.every == 0 or last:
@@ -137,6 +147,7 @@ class Runner:
             if collected.valid.any():
                 break
         trajectories = collected.valid_part()
+        self._lost_steps += max(0, self._steps_in(epoch) - trajectories.reward.size)
         rollout.load(trajectories, self.model)
         rollout.compute_returns(self.config.ppo.gamma, self.config.ppo.lam)
 
@@ -147,9 +158,9 @@ class Runner:
         terms = trajectories.reward_terms.mean(axis=0, dtype=np.float64)
         return values | _tagged("reward", dict(zip(env.reward_terms, terms, strict=True)))
 
-    def _speed(self, epoch: int, collect_s: float, update_s: float) -> dict[str, float]:
+    def _speed(self, steps: int, collect_s: float, update_s: float) -> dict[str, float]:
         seconds = collect_s + update_s
-        own = {STEPS_PER_SECOND: self._steps_in(epoch) / seconds, UPDATE_SHARE: update_s / seconds}
+        own = {STEPS_PER_SECOND: steps / seconds, UPDATE_SHARE: update_s / seconds}
         return {**_tagged("speed", self.env.timing()), **own}
 
     def _complete(self, epoch: int, values: dict[str, float], log: Log, last: bool = False) -> None:
@@ -170,12 +181,16 @@ class Runner:
             checkpoints.save_best(self.run_dir, self._completed)
 
     def _steps_in(self, epoch: int) -> int:
-        """Control steps of an epoch."""
+        """Control steps that an epoch asks for."""
         return self.config.learned_steps(epoch) * self.config.labels.in_epoch(epoch, self.env.num_envs)
 
     def _steps_after(self, epoch: int) -> int:
-        """Control steps of the whole run when an epoch is complete, not before the one that it was resumed after."""
-        return self._resumed_steps + sum(map(self._steps_in, range(self._resumed_epoch + 1, epoch + 1)))
+        """Control steps of the whole run when an epoch is complete, not before the one that it was resumed after.
+
+        Those that were lost with their workers do not count.
+        """
+        asked = sum(map(self._steps_in, range(self._resumed_epoch + 1, epoch + 1)))
+        return self._resumed_steps + asked - self._lost_steps
 
     @property
     def last_epoch(self) -> int:

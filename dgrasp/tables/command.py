@@ -7,7 +7,7 @@ import json
 import time
 from pathlib import Path
 
-from dgrasp.errors import ConfigError
+from dgrasp.errors import ConfigError, DataError
 from dgrasp.tables.fill import Tables, fill
 from dgrasp.tables.plan import plans
 from dgrasp.tables.show import show, write
@@ -37,7 +37,10 @@ def main(arguments: argparse.Namespace) -> int:
     for i, one in enumerate(seeds):
         if end is not None:
             one.trainings.train_missing(chosen, (end - time.monotonic()) / 60.0 / (len(seeds) - i))
-    root.mkdir(parents=True, exist_ok=True)
+    try:
+        root.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise DataError(f"--runs {root}: not a folder that can be written to ({error.strerror})") from None
     for plan in chosen:
         rows = fill(plan, seeds)
         show(plan, rows)

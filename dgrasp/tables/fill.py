@@ -11,25 +11,34 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from dgrasp import evaluate, request, train
 from dgrasp.atomic import write_atomic
 from dgrasp.config import Config, load_config
+from dgrasp.config_values import flat_keys
 from dgrasp.data import DataChoice, resolve
-from dgrasp.errors import DGraspError
+from dgrasp.errors import DataError, DGraspError
 from dgrasp.eval.motion import usual_set
-from dgrasp.eval.summary import Result, Row, summarise
+from dgrasp.eval.summary import Result, Row, is_metric, summarise
 from dgrasp.labels.source import sha256_of
+from dgrasp.paths import cfg_root
 from dgrasp.tables.plan import Line, Plan, Trial
 from dgrasp.tables.trainings import Say, Trainings
+
+_OF_TEST = ("labels.", "physics.", "motion.", "eval.window_s", "env.grasp_steps")
+_NOT_OF_TEST = ("labels.per_epoch", "labels.doubles_every", "motion.policy", "motion.targets")
+"""Keys that say what an evaluation is of; those that the training or the table chooses."""
 
 
 @dataclass
 class Cells:
     """A filled row. values: metric -> mean over objects; intervals: metric -> [low, high]; n: labels (or motions).
 
-    missing: why there are no values. notes: what a reader must know of them. comparable: hand, labels and targets are
-    the paper's. commands: what evaluates it by hand. seeds: with several, seed -> its own values; then `values` are
-    means over all seeds, and n counts a label once for each.
+    missing: why there are no values. notes: what a reader must know of them. comparable: hand, labels, targets and what
+    the command says of the evaluation are the paper's. evaluated: on what, engine, window and commit. commands: what
+    evaluates it by hand. seeds: with several, seed -> its own values; then `values` are means over all seeds, of each
+    label first.
     """
 
     line: Line
@@ -37,6 +46,7 @@ class Cells:
     intervals: dict[str, list[float]] = field(default_factory=dict)
     n: int = 0
     comparable: bool = False
+    evaluated: list[str] = field(default_factory=list)
     missing: list[str] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
     commands: list[str] = field(default_factory=list)
@@ -45,7 +55,10 @@ class Cells:
 
 @dataclass
 class Found:
-    """What one seed has of a row: its labels' rows, the evaluations that they are from, and as in `Cells`."""
+    """What one seed has of a row: its labels' rows, the evaluations that they are from, and as in `Cells`.
+
+    changed: keys by which the evaluations are others than the row's.
+    """
 
     seed: int
     rows: list[Row] = field(default_factory=list)
@@ -53,6 +66,7 @@ class Found:
     missing: list[str] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
     commands: list[str] = field(default_factory=list)
+    changed: list[str] = field(default_factory=list)
 
 
 class Tables:
@@ -83,11 +97,12 @@ class Tables:
                 if missing is not None:
                     found.missing.append(missing)
                     continue
-                result, command = self._evaluate(trial, motion)
+                result, command, changed = self._evaluate(trial, motion)
             except DGraspError as error:
                 found.missing.append(f"{line.group}, {line.name}: {error}")
                 continue
             found.commands.append(command)
+            found.changed += [key for key in changed if key not in found.changed]
             found.rows += result["per_label"]
             found.results.append(result)
             if trial.run is not None:
@@ -95,9 +110,11 @@ class Tables:
         if found.results and len(found.results) < len(line.trials):
             found.notes.append(f"{line.group}, {line.name}: {len(found.results)} of {len(line.trials)} evaluations are "
                                "there")
+        if found.changed:
+            found.notes.append(f"evaluated with {', '.join(found.changed)}, which no row of this table asks for")
         return found
 
-    def _evaluate(self, trial: Trial, motion: bool) -> tuple[Any, str]:
+    def _evaluate(self, trial: Trial, motion: bool) -> tuple[Any, str, list[str]]:
         run = trial.run
         words = ["--cfg", str(self.cfg)] if run is None else self.trainings.test_words(run)
         if trial.method != "policy":
@@ -109,19 +126,23 @@ class Tables:
         if motion:
             words += ["--motion", usual_set(choice)]
             config = request.config_of(_parse(words))
-        command = shlex.join(["python", "test.py", *words])
+        command, changed = shlex.join(["python", "test.py", *words]), _changed(trial, config)
         file = self.results / f"{self._key(trial, config, choice)}.json"
         if file.is_file():
             try:
-                return json.loads(file.read_text(encoding="utf-8")), command
+                return json.loads(file.read_text(encoding="utf-8")), command, changed
             except ValueError:
                 self.say(f"{file} is damaged and is made again")
         self.say(f"evaluating: {command}")
         evaluation = evaluate.evaluate_motion if motion else evaluate.evaluate_choice
         result, _, _ = evaluation(request.method_for(arguments), config, choice)
-        self.results.mkdir(parents=True, exist_ok=True)
-        write_atomic(file, json.dumps(result.as_dict(), allow_nan=False))
-        return result.as_dict(), command
+        try:
+            self.results.mkdir(parents=True, exist_ok=True)
+            write_atomic(file, json.dumps(result.as_dict(), allow_nan=False))
+        except OSError as error:
+            raise DataError(f"{file}: cannot be written ({error.strerror or error}); choose another folder with "
+                            "--runs") from None
+        return result.as_dict(), command, changed
 
     def _key(self, trial: Trial, config: Config, choice: DataChoice) -> str:
         """Names an evaluation by all that its figures depend on."""
@@ -149,13 +170,48 @@ def _row(line: Line, seeds: Sequence[Found]) -> Cells:
     there = [one for one in seeds if one.rows]
     if not there:
         return cells
-    whole = _summary([row for one in there for row in one.rows], there[0].results[0])
-    cells.values, cells.n = dict(whole.mean_over_objects), sum(len(one.rows) for one in there)
+    rows, results = _over_seeds([one.rows for one in there]), [result for one in there for result in one.results]
+    whole = _summary(rows, there[0].results[0])
+    cells.values, cells.n = dict(whole.mean_over_objects), len(rows)
     cells.intervals = dict(whole.intervals["mean_over_objects"])
-    cells.comparable = all(_comparable(result) for one in there for result in one.results)
+    cells.comparable = all(map(_comparable, results)) and not any(one.changed for one in there)
+    cells.evaluated = list(dict.fromkeys(
+        f"{result['engine']}, window {result['window_s']:g} s, version {result['commit'][:7]}" for result in results
+    ))  # fmt: skip
     if len(seeds) > 1:
         cells.seeds = {one.seed: dict(_summary(one.rows, one.results[0]).mean_over_objects) for one in there}
     return cells
+
+
+def _over_seeds(seeds: Sequence[list[Row]]) -> list[Row]:
+    """One row for each label, or motion, with the means over the seeds that have it.
+
+    Several seeds tell no more of other labels than one does: an interval over labels must count each once.
+    """
+    if len(seeds) == 1:
+        return seeds[0]
+    same: dict[tuple[Any, ...], list[Row]] = {}
+    for rows in seeds:
+        counted: dict[tuple[Any, ...], int] = {}
+        for row in rows:
+            label = row["object"], row["index"]
+            counted[label] = counted.get(label, 0) + 1
+            same.setdefault((*label, counted[label]), []).append(row)
+    return [{"object": name, "index": index, **_mean(rows)} for (name, index, _), rows in same.items()]
+
+
+def _mean(rows: Sequence[Row]) -> Row:
+    names = dict.fromkeys(name for row in rows for name in row if is_metric(name, row[name]))
+    return {name: float(np.mean([row[name] for row in rows if name in row])) for name in names}
+
+
+def _changed(trial: Trial, config: Config) -> list[str]:
+    """The keys that make an evaluation another one than its row asks for, with their values."""
+    file = None if trial.run is None or trial.run.cfg is None else Path(trial.run.cfg)
+    asked = load_config(cfg_root() / (file or Path("dexycb.yaml")).name, list(trial.overrides))
+    there, here = (flat_keys(one.model_dump(mode="json")) for one in (asked, config))
+    return [f"{key}={here[key]}" for key in here
+            if key.startswith(_OF_TEST) and key not in _NOT_OF_TEST and here[key] != there.get(key)]
 
 
 def _comparable(result: Mapping[str, Any]) -> bool:

@@ -20,15 +20,18 @@ _TITLES = {"success": ("success", "{:.2f}"), "sim_dist_mm_per_step": ("SimDist m
            "interpenetration_shell_cm3": ("interpen. cm3", "{:.2f}"), "contact_ratio": ("contact ratio", "{:.2f}"),
            "label_distance_mm": ("to label mm", "{:.1f}"), "label_angles_deg": ("to label deg", "{:.1f}"),
            "mpe_m": ("MPE m", "{:.3f}"), "geodesic_rad": ("geodesic rad", "{:.2f}")}  # fmt: skip
-NOT_THE_PAPERS = "* hand, labels or targets are not the paper's: not comparable"
+NOT_THE_PAPERS = ("* hand, labels, targets or evaluation are not the paper's: not comparable, and its numbers are left "
+                  "away")
 
 
 def cells_of(plan: Plan, cells: Cells) -> list[str]:
     """A row as text: labels or targets, and per metric ours with its interval, the paper's and the difference."""
-    mark = "" if cells.comparable or not cells.values else " *"
+    apart = bool(cells.values) and not cells.comparable
+    mark = " *" if apart else ""
     row = [cells.line.group, cells.line.name + mark, str(cells.n) if cells.values else "-"]
     for metric in plan.metrics:
-        number, paper, ours = _TITLES[metric][1], cells.line.paper.get(metric), cells.values.get(metric)
+        number, ours = _TITLES[metric][1], cells.values.get(metric)
+        paper = None if apart else cells.line.paper.get(metric)
         low_high = cells.intervals.get(metric)
         shown = "-" if ours is None else number.format(ours)
         if ours is not None and low_high is not None:
@@ -60,6 +63,9 @@ def remarks(plan: Plan, rows: Sequence[Cells]) -> list[str]:
             if values:
                 each = ", ".join(f"{seed}: {number.format(value)}" for seed, value in values.items())
                 lines.append(f"{cells.line.group}, {cells.line.name}, {name} by seed: {each}")
+    evaluated = dict.fromkeys(text for cells in rows for text in cells.evaluated)
+    if evaluated:
+        lines.append(f"evaluated on {'; on '.join(evaluated)}")
     lines += dict.fromkeys(note for cells in rows for note in cells.notes)
     missing = dict.fromkeys(reason for cells in rows for reason in cells.missing)
     if missing:
@@ -98,7 +104,8 @@ def write(plan: Plan, rows: Sequence[Cells], folder: Path) -> None:
     plain = [
         {"labels": cells.line.group, "method": cells.line.name, "n": cells.n, "values": cells.values,
          "intervals": cells.intervals, "paper": dict(cells.line.paper), "comparable_with_paper": cells.comparable,
-         "seeds": cells.seeds, "missing": cells.missing, "notes": cells.notes, "commands": cells.commands}
+         "seeds": cells.seeds, "missing": cells.missing, "notes": cells.notes, "commands": cells.commands,
+         "evaluated": cells.evaluated}
         for cells in rows
     ]  # fmt: skip
     content = {"schema": 1, "table": plan.name, "title": plan.title, "metrics": list(plan.metrics), "rows": plain}

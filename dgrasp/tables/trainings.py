@@ -8,6 +8,7 @@ import json
 import shlex
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -24,8 +25,10 @@ from dgrasp.runs import read_run
 from dgrasp.tables.plan import ALL_OBJECTS, FAST, Plan, Trained, plans
 
 Say = Callable[[str], None]
-_OF_TRAINING = ("env.", "ppo.", "labels.", "physics.preset", "physics.official_compat", "physics.masses")
+_OF_TRAINING = ("env.", "ppo.", "labels.", "physics.", "motion.sigma_")
 """Keys that make a training another than its row's."""
+_LENGTH = ("epochs", "max_steps")
+"""Keys of `ppo` that say how long a training is; what is asked for now counts, not what was once."""
 _OF_DATA = ("kind", "hand_sha256", "labels_sha256")
 """Of a data stamp, what makes it other data: a split, other objects of it or its licence's text do not."""
 _GRASP = "grasp"
@@ -79,23 +82,32 @@ class Trainings:
         before = None if run.policy is None else self.missing(run.policy)
         if before is not None:
             return f"{before} and then train {run.key}"
+        if (self.run_dir(run) / "config.yaml").is_file():
+            return shlex.join(["python", "train.py", "--resume", str(self.run_dir(run))])
         return shlex.join(["python", "train.py", *self.words(run)])
 
     def about(self, run: Trained) -> list[str]:
         """How far a training came, and what differs from the one that its row asks for."""
         if self.policy is not None and self.stands_in(run):
             return [f"the policy of all objects is {self.policy.name}"]
+        # What is evaluated is the last checkpoint; the log may be ahead of it.
         made = read_run(self.run_dir(run))
+        if there_are := checkpoint.saved(self.run_dir(run)):
+            made = made.until(int(there_are[-1].stem))
         # What the paper trained with is the default of every key, but for the baselines, which have files of their own.
         asked = load_config(None if run.cfg is None else cfg_root() / Path(run.cfg).name, list(run.overrides))
-        there, here = (flat_keys(config.model_dump(mode="json")) for config in (asked, made.config))
-        changed = [f"{key}={here[key]}" for key in here
-                   if key.startswith(_OF_TRAINING) and here[key] != there[key] and not key.startswith("ppo.max_")]
+        told = load_config(train.find_config(Path(run.cfg or self.cfg)), [*self.overrides, *run.overrides])
+        there, here, now = (flat_keys(config.model_dump(mode="json")) for config in (asked, made.config, told))
+        counted = [key for key in here if key.startswith(_OF_TRAINING) and not key.startswith("ppo.max_")]
+        changed = [f"{key}={here[key]}" for key in counted if here[key] != there[key]]
+        stale = [f"{key}={here[key]}" for key in counted
+                 if here[key] != now[key] and key not in [f"ppo.{name}" for name in _LENGTH]]
         cost = f"{made.number('control_steps'):,.0f} control steps, {made.number('core_hours'):.2f} core-hours"
         end = "" if made.complete else f" of {made.epochs}"
         whose = FAST if run.cfg == FAST else "the paper's training"
         return [f"{run.key}: {made.number('epoch'):.0f}{end} epochs, {cost}"
-                + (f"; differs from {whose} in {', '.join(changed)}" if changed else "")]
+                + (f"; differs from {whose} in {', '.join(changed)}" if changed else "")
+                + (f"; not as this command says: it was trained with {', '.join(stale)}" if stale else "")]
 
     def own_grasp(self, run: Trained) -> list[str]:
         """The override that names a run's own copy of the policy that it is built on; none for a run without.
@@ -131,7 +143,8 @@ class Trainings:
                 elif begins:
                     train.main(_parse([*self.words(run), limit]))
                 else:
-                    train.main(_parse(["--resume", str(self.run_dir(run)), *self.own_grasp(run), limit]))
+                    length = [f"ppo.{name}={json.dumps(value)}" for name, value in self._length(run).items()]
+                    train.main(_parse(["--resume", str(self.run_dir(run)), *self.own_grasp(run), *length, limit]))
             except DGraspError as error:
                 # One table's data may lack what another's has, and a baseline refuse another recipe's policy.
                 self.say(f"{run.key}: {error}")
@@ -144,6 +157,9 @@ class Trainings:
         if not (folder / "config.yaml").is_file():
             return "train"
         made = read_run(folder)
+        made = replace(made, config=made.config.model_copy(
+            update={"ppo": made.config.ppo.model_copy(update=self._length(run))}
+        ))  # fmt: skip
         # One that ended with its share of an earlier budget goes on.
         if made.state == "running" or made.complete or self._other_data(run) is not None:
             return None
@@ -163,6 +179,11 @@ class Trainings:
     def _config(self, run: Trained, *more: str) -> Config:
         """What a run is, or would be, trained with here."""
         return load_config(train.find_config(Path(run.cfg or self.cfg)), [*self.overrides, *run.overrides, *more])
+
+    def _length(self, run: Trained) -> dict[str, Any]:
+        """How long a training is to be, as this command says."""
+        ppo = self._config(run).ppo
+        return {name: getattr(ppo, name) for name in _LENGTH}
 
     def _other_data(self, run: Trained) -> str | None:
         """Why a run is not of the tables' data; None where it is, or is not there."""

@@ -8,19 +8,21 @@ import signal
 import subprocess
 import sys
 import time
+from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
 import torch
 
 from dgrasp.cli import main, run_command
-from dgrasp.config import make_config
-from dgrasp.errors import DataError
+from dgrasp.config import load_config, make_config
+from dgrasp.data import resolve
+from dgrasp.errors import ConfigError, DataError
 from dgrasp.paths import shipped_root
 from dgrasp.rl import checkpoint
 from dgrasp.rl.ppo import Ppo
 from dgrasp.test import write_gif
-from dgrasp.train import _gif
+from dgrasp.train import _gif, next_run, start_run
 from tests.cli.folder import make_folder
 
 SHORT = [
@@ -154,6 +156,27 @@ def test_bad_input_is_one_message_and_exit_2(folder, tmp_path, capsys, words, sa
     message = capsys.readouterr().err
     assert message.startswith("error: ") and said in message and "Traceback" not in message
     assert not run.exists()
+
+
+def test_runs_that_begin_together_have_a_directory_each(folder, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert [next_run("a"), next_run("a"), next_run("b")] == [Path("runs/a_1"), Path("runs/a_2"), Path("runs/b_1")]
+    config = make_config({"data": str(folder)})
+    start_run(Path("mine"), config, resolve(config), new=True)
+    # Another process that found the folder empty a moment before.
+    before = Path("mine/config.yaml").read_bytes()
+    with pytest.raises(ConfigError, match="mine exists already"):
+        start_run(Path("mine"), make_config({"data": str(folder), "seed": 2}), resolve(config), new=True)
+    assert Path("mine/config.yaml").read_bytes() == before
+
+
+def test_what_a_run_is_resumed_with_is_written_down_from_its_first_epoch_on(folder, tmp_path, monkeypatch):
+    config = make_config({"data": str(folder), "pool": {"kind": "serial"}})
+    start_run(tmp_path / "run", config, resolve(config), new=True)
+    words = ["--resume", str(tmp_path / "run"), *SHORT, "env.reward.pose=0.7", "ppo.epochs=1"]
+    assert run_command("train", words) == 0
+    assert load_config(tmp_path / "run" / "config.yaml").env.reward.pose == 0.7
+    assert run_command("test", ["--run", str(tmp_path / "run")]) == 0
 
 
 def test_a_run_directory_that_exists_is_left_alone(trained, folder, capsys):

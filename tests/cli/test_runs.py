@@ -119,15 +119,18 @@ def test_runs_are_listed_and_compared(tmp_path: Path, capsys: pytest.CaptureFixt
         run = tmp_path / name
         (run / "checkpoints").mkdir(parents=True)
         (run / "checkpoints" / "000010.pt").touch()
-        (run / "config.yaml").write_text(f"seed: {seed}\nppo: {{epochs: 20}}\n")
-        (run / "data.json").write_text('{"kind": "free", "split": "train"}')
+        (run / "config.yaml").write_text(f"seed: {seed}\nenv: {{episode_steps: 100}}\nppo: {{epochs: 20}}\n")
+        (run / "data.json").write_text('{"kind": "free", "split": "train", "n_labels": 1}')
         (run / "progress.csv").write_text(header + rows)
     for name, limits in (("steps", "max_steps: 1099"), ("time", "max_minutes: 0.5")):
         shutil.copytree(tmp_path / "b", tmp_path / name)
-        (tmp_path / name / "config.yaml").write_text(f"ppo: {{epochs: 20, {limits}}}\n")
-    # Twice as many labels an epoch since it was resumed: one more epoch of 200 fits.
+        (tmp_path / name / "config.yaml").write_text(f"env: {{episode_steps: 100}}\nppo: {{epochs: 20, {limits}}}\n")
+    # Two labels an epoch since it was resumed: one more epoch of 200 fits, before they are four.
     shutil.copytree(tmp_path / "b", tmp_path / "resumed")
-    (tmp_path / "resumed" / "config.yaml").write_text("ppo: {epochs: 20, max_steps: 1499}\n")
+    (tmp_path / "resumed" / "config.yaml").write_text(
+        "env: {episode_steps: 100}\nlabels: {per_epoch: 2, doubles_every: 12}\nppo: {epochs: 20, max_steps: 1799}\n"
+    )
+    (tmp_path / "resumed" / "data.json").write_text('{"kind": "free", "split": "train", "n_labels": 9}')
     (tmp_path / "resumed" / "progress.csv").write_text(header + rows + "11,1200,60.0,0.3,-3,\n")
     (tmp_path / "new").mkdir()
     (tmp_path / "new" / "config.yaml").write_text("engine: mujoco\n")

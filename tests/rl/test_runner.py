@@ -13,6 +13,7 @@ import pytest
 import torch
 
 from dgrasp.errors import ConfigError, DataError
+from dgrasp.pool.base import PoolError
 from dgrasp.rl import checkpoint as checkpoints
 from dgrasp.rl.networks import Policy
 from dgrasp.rl.runner import Interrupted, Runner, epoch_generator
@@ -169,6 +170,22 @@ def test_full_disk_is_one_error_and_keeps_the_old_checkpoint(tmp_path: Path, mon
         run(tmp_path, toy_config(keep=1), on_step=fill_disk)
     assert [p.name for p in (tmp_path / "checkpoints").iterdir()] == ["000002.pt"]
     assert last(tmp_path).epoch == 2
+
+
+def test_a_pool_that_is_lost_for_good_leaves_what_was_learned(tmp_path: Path) -> None:
+    def lose(env: ToyEnv, epoch: int, step: int) -> None:
+        if epoch == 4:
+            raise PoolError("worker 0 was lost three times in a row")
+
+    with pytest.raises(PoolError):
+        run(tmp_path / "parts", toy_config(every=20, epochs=6), on_step=lose)
+    assert [p.name for p in checkpoints.saved(tmp_path / "parts")] == ["000003.pt"]
+    run(tmp_path / "parts", toy_config(every=20, epochs=6), resume=True)
+    run(tmp_path / "straight", toy_config(every=20, epochs=6))
+    assert_same(last(tmp_path / "parts"), last(tmp_path / "straight"))
+    with pytest.raises(PoolError):
+        run(tmp_path / "first", toy_config(), on_step=lambda env, epoch, step: lose(env, 4, step))
+    assert checkpoints.saved(tmp_path / "first") == []
 
 
 def test_checkpoint_schedule(tmp_path: Path) -> None:

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from pathlib import Path
 
 from dgrasp.config import load_config
+from dgrasp.rl.collect import Actor, Trajectories
 from dgrasp.rl.runner import Runner
 from tests.rl.toy import ToyEnv, assert_same, last, rows_of, run, toy_config
 
@@ -32,6 +34,20 @@ def test_control_steps_count_what_was_made_before_a_resume_with_other_epochs(tmp
     # What it was resumed with is what the run's files say, and so what a test of it takes.
     assert load_config(tmp_path / "config.yaml") == config
     assert json.loads((tmp_path / "data.json").read_text()) == {"hand": "toy"}
+
+
+def test_steps_that_were_lost_with_their_worker_do_not_count(tmp_path: Path) -> None:
+    class Losing(ToyEnv):
+        def collect(self, actor: Actor, epoch: int, steps: int, advance: Callable[[int], None]) -> Trajectories:
+            made = super().collect(actor, epoch, steps, advance)
+            made.valid[:3] = epoch != 2
+            return made
+
+    Runner(Losing(), toy_config(epochs=3), tmp_path, {"hand": "toy"}).learn()
+    # Three of eight environments, in one epoch of 10 steps.
+    assert [row["control_steps"] for row in rows_of(tmp_path)] == ["80", "130", "210"]
+    Runner(ToyEnv(), toy_config(epochs=4), tmp_path, {"hand": "toy"}, resume=True).learn()
+    assert rows_of(tmp_path)[-1]["control_steps"] == "290"
 
 
 def test_epochs_that_grow_are_counted_as_they_are(tmp_path: Path) -> None:

@@ -15,6 +15,7 @@ from dgrasp.cli import run_command
 from dgrasp.config import load_config
 from dgrasp.rl import checkpoint
 from dgrasp.rl.log import write_description
+from dgrasp.tables import fill as fill_module
 from dgrasp.tables import plan as plan_module
 from dgrasp.tables.fill import Cells, Found, fill
 from dgrasp.tables.plan import NAMES, Line, Plan, plans
@@ -93,6 +94,39 @@ def test_a_row_shows_ours_the_papers_and_their_difference() -> None:
     assert cells_of(plan, Cells(line, {"success": 0.5}, {}, 2))[1] == "Ours *"
 
 
+def test_seeds_of_a_label_are_one_label() -> None:
+    seeds: list[list[Any]] = [
+        [{"object": "a", "index": i, "success": i < 2, "sim_dist_mm_per_step": 1.0} for i in range(4)],
+        [{"object": "a", "index": i, "success": i < 1} for i in range(4)],
+    ]
+    rows = fill_module._over_seeds(seeds)
+    assert [row["success"] for row in rows] == [1.0, 0.5, 0.0, 0.0]
+    assert rows[0] == {"object": "a", "index": 0, "success": 1.0, "sim_dist_mm_per_step": 1.0}
+    # The same outcomes three times say no more than once.
+    one, three = (fill_module._summary(fill_module._over_seeds([seeds[0]] * k),
+                                       {"method": "policy", "engine": "e", "window_s": 5.0, "seed": 1, "data": {},
+                                        "cost": {}}).intervals["mean_over_objects"]["success"] for k in (1, 3))
+    assert one == three
+    # Two motions of one label stay two.
+    twice: list[Any] = [{"object": "a", "index": 0, "mpe_m": 0.1}, {"object": "a", "index": 0, "mpe_m": 0.3}]
+    assert [row["mpe_m"] for row in fill_module._over_seeds([twice, twice])] == [0.1, 0.3]
+
+
+def test_an_evaluation_that_is_narrowed_does_not_compare() -> None:
+    (plan,) = plans("grasp")
+    trial = plan.lines[0].trials[0]
+    config = load_config(train.find_config(Path("cfg/dexycb.yaml")), [*trial.overrides, "labels.per_epoch=4"])
+    assert fill_module._changed(trial, config) == []
+    words = ["labels.limit_per_object=1", "eval.window_s=3.87", "physics.friction=0.5", "ppo.gamma=0.5"]
+    narrowed = load_config(train.find_config(Path("cfg/dexycb.yaml")), [*trial.overrides, *words])
+    assert fill_module._changed(trial, narrowed) == [
+        "labels.limit_per_object=1", "physics.friction=0.5", "eval.window_s=3.87"
+    ]  # fmt: skip
+    # The paper's number is of all objects and labels.
+    cells = Cells(plan.lines[0], {"success": 1.0}, {}, 1, comparable=False)
+    assert cells_of(plan, cells)[:6] == ["dexycb train", "GT+PD *", "1", "1.00", "", ""]
+
+
 def test_what_is_there_is_evaluated_once_and_the_rest_is_named(
     folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -133,7 +167,8 @@ def test_a_budget_trains_what_is_missing_and_an_interruption_goes_on(
         ["no_feature_layer_004_sugar_box"] * 2 + ["no_wrist_guidance_004_sugar_box", "object_004_sugar_box"]
     )
     assert [(row["n"], row["missing"]) for row in rows] == [(1, [])] * 5
-    (note,) = rows[0]["notes"]
+    note, changed = rows[0]["notes"]
+    assert changed.startswith("evaluated with ") and "eval.window_s=0.06" in changed and "labels" not in changed
     assert "no_contact_reward_004_sugar_box: 1 epochs" in note and "env.episode_steps=6" in note
     # What a row is about is no difference from its training.
     assert "env.reward" not in note and "labels" not in note
@@ -146,7 +181,8 @@ def test_seeds_are_trained_apart_and_averaged(
     monkeypatch.setattr(plan_module, "ABLATION_OBJECTS", ("004_sugar_box",))
     monkeypatch.setattr(plan_module, "_ABLATIONS", {"ours": ("Ours", ())})
     rows = _table("ablation", folder, tmp_path, "--budget", "10", "--seeds", "3,5")
-    assert [row["n"] for row in rows] == [2]
+    # The one label, with two seeds, is one label.
+    assert [row["n"] for row in rows] == [1]
     for row in rows:
         assert list(row["seeds"]) == ["3", "5"]
         for metric, value in row["values"].items():
@@ -237,7 +273,7 @@ def test_a_learned_motion_keeps_the_grasps_that_it_was_built_on(
     words = ["motion.stable_alone=false", "motion.steps=3", "checkpoint.keep=1"]
     (row,) = _table("motion", folder, tmp_path, "--budget", "10", *words)
     assert (row["n"], row["missing"]) == (2, [])
-    (note,) = row["notes"]
+    note, _ = row["notes"]
     assert "env.episode_steps=6" in note and "env.task" not in note and "labels" not in note
     trained = tmp_path / "dexycb_pybullet_seed1"
     first, own = checkpoint.latest(trained / "all_objects"), trained / "learned_motion" / "grasp.pt"
@@ -263,7 +299,7 @@ def test_a_learned_motion_keeps_the_grasps_that_it_was_built_on(
 def test_motions_to_other_targets_than_the_papers_do_not_compare(motion: str | None, comparable: bool) -> None:
     (plan,) = plans("motion")
     result = {"method": "policy", "engine": "pybullet", "window_s": 5.0, "seed": 1,
-              "data": {"comparable_with_paper": True}, "cost": {}}  # fmt: skip
+              "commit": "0123456789", "data": {"comparable_with_paper": True}, "cost": {}}  # fmt: skip
     if motion is not None:
         result["motion"] = {"targets": motion}
     rows: list[Any] = [{"object": "004_sugar_box", "index": 0, "mpe_m": 0.1, "geodesic_rad": 0.5}]
@@ -290,4 +326,5 @@ def test_a_training_as_its_row_asks_for_differs_in_nothing(tmp_path: Path, monke
         config = load_config(folder / "config.yaml", ["labels.objects=[005_tomato_soup_can]", "env.grasp_steps=2"])
         write_description(folder, config, {})
         (note,) = trainings.about(chosen[key])
-        assert note.endswith(f"; differs from {said}labels.objects=['005_tomato_soup_can'], env.grasp_steps=2")
+        keys = "labels.objects=['005_tomato_soup_can'], env.grasp_steps=2"
+        assert note.endswith(f"; differs from {said}{keys}; not as this command says: it was trained with {keys}")
