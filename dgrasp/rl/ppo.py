@@ -19,6 +19,7 @@ STATISTICS = (
 """Keys of what `Ppo.update` returns."""
 
 _KL_TOLERANCE = 2.0
+_KL_ROUNDING = 1e-9
 _RATE_FACTOR = 1.5
 _SMALLEST_STD = 1e-6
 _RETURN_RATE = 0.1
@@ -53,11 +54,11 @@ def gaussian_kl(old_mean: Tensor, old_std: Tensor, mean: Tensor, std: Tensor) ->
 def adapted_learning_rate(rate: float, kl: float, config: PpoConfig) -> float:
     """The learning rate after a KL: / 1.5 above twice the desired one, * 1.5 below half of it, within limits.
 
-    A KL of exactly 0 says nothing (no step was made) and changes nothing.
+    A KL of 0, but for rounding, says nothing (no step was made) and changes nothing.
     """
     if kl > _KL_TOLERANCE * config.desired_kl:
         return max(config.min_learning_rate, rate / _RATE_FACTOR)
-    if 0.0 < kl < config.desired_kl / _KL_TOLERANCE:
+    if _KL_ROUNDING < kl < config.desired_kl / _KL_TOLERANCE:
         return min(config.max_learning_rate, rate * _RATE_FACTOR)
     return rate
 
