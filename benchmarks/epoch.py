@@ -38,7 +38,7 @@ def main() -> None:
                 "checkpoint.every=1000",
             ],
         )
-        torch.set_num_threads(config.ppo.threads)
+        torch.set_num_threads(1)
         choice = resolve(config)
         pool = build_pool(choice, config)
         rows: list[dict[str, float]] = []

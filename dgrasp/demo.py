@@ -59,12 +59,12 @@ def main(arguments: argparse.Namespace) -> int:
     words = list(arguments.overrides)
     config = load_config(package_file("cfg/fast.yaml"), [*_TRAINING, *words])
     choice = resolve(config)
+    if arguments.run is not None and arguments.run.exists():
+        raise ConfigError(f"{arguments.run} exists already; choose another --run")
     run_dir = arguments.run or next_run(config.name)
-    if run_dir.exists():
-        raise ConfigError(f"{run_dir} exists already; choose another --run")
     print(choice.describe(), flush=True)
     torch.set_num_threads(1)
-    start_run(run_dir, config, choice)
+    start_run(run_dir, config, choice, new=True)
     file = data_root() / PRETRAINED_FILE
     saved = read_policy(file) if file.is_file() else None
     results = _test(saved, run_dir, words)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import csv
 import json
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +17,7 @@ from dgrasp.config_values import flat_keys
 from dgrasp.errors import ConfigError
 from dgrasp.rl.checkpoint import saved
 from dgrasp.rl.lock import is_running
-from dgrasp.rl.log import CSV_NAME
+from dgrasp.rl.log import CSV_NAME, read_plan
 
 HELP = """\
 List training runs with state, data, engine, success and cost; compare two of them.
@@ -31,12 +31,13 @@ examples:
 
 @dataclass(frozen=True)
 class Run:
-    """A run directory as it is now; `rows` are those of its progress.csv."""
+    """A run directory as it is now; `rows` are those of its progress.csv, `plan` what the learner was to do."""
 
     path: Path
     config: Config
     data: dict[str, Any]
     rows: list[dict[str, str]]
+    plan: dict[str, Any] = field(default_factory=dict)
 
     @property
     def state(self) -> str:
@@ -56,15 +57,15 @@ class Run:
     @property
     def epochs(self) -> int:
         """How many epochs `ppo.epochs` and `ppo.max_steps` allow."""
-        ppo, labels = self.config.ppo, self.data.get("n_labels")
-        if ppo.max_steps is None or not self.rows or not isinstance(labels, int):
+        ppo, log = self.config.ppo, self.plan
+        if (ppo.epochs, ppo.max_steps) == (log.get("epochs"), log.get("max_steps")):
+            return int(log["last_epoch"])
+        envs = log.get("environments", self.data.get("n_labels"))
+        if ppo.max_steps is None or not self.rows or not isinstance(envs, int):
             return ppo.epochs
         last, steps = int(self.number("epoch")), int(self.number("control_steps"))
-        if last > 0 and self.config.labels.per_epoch is None:
-            # In the task motion only the labels whose grasp is stable take part.
-            labels = min(labels, steps // last // self.config.learned_steps(last))
         while last < ppo.epochs:
-            steps += self.config.learned_steps(last + 1) * self.config.labels.in_epoch(last + 1, labels)
+            steps += self.config.learned_steps(last + 1) * self.config.labels.in_epoch(last + 1, envs)
             if steps > ppo.max_steps:
                 break
             last += 1
@@ -103,7 +104,7 @@ def read_run(path: Path) -> Run:
     if (path / CSV_NAME).is_file():
         with open(path / CSV_NAME, encoding="utf-8", newline="") as stream:
             rows = [row for row in csv.DictReader(stream) if (row.get("seconds") or "") and None not in row]
-    return Run(path, load_config(path / "config.yaml"), data if isinstance(data, dict) else {}, rows)
+    return Run(path, load_config(path / "config.yaml"), data if isinstance(data, dict) else {}, rows, read_plan(path))
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

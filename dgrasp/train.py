@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import argparse
+import itertools
 import json
-import re
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -111,17 +111,17 @@ def _exists(run_dir: Path) -> ConfigError:
 
 def next_run(name: str) -> Path:
     """Makes runs/NAME_K with the first K that is free: of runs that begin together each has its own."""
-    root = Path("runs")
-    while True:
-        matches = (re.fullmatch(rf"{re.escape(name)}_(\d+)", path.name) for path in root.glob(f"{name}_*"))
-        run_dir = root / f"{name}_{max((int(m.group(1)) for m in matches if m), default=0) + 1}"
+    for k in itertools.count(1):
+        run_dir = Path("runs") / f"{name}_{k}"
         try:
             run_dir.mkdir(parents=True)
             return run_dir
         except FileExistsError:
-            continue
+            if not Path("runs").is_dir():
+                raise DataError("runs: not a folder, so that no run can be put there; choose another --run") from None
         except OSError as error:
             raise _not_made(run_dir, error) from None
+    raise AssertionError
 
 
 def _not_made(run_dir: Path, error: OSError) -> DataError:
@@ -145,7 +145,8 @@ def start_run(run_dir: Path, config: Config, choice: DataChoice, new: bool = Fal
 
 def train(run_dir: Path, config: Config, choice: DataChoice, resume: bool = False) -> None:
     """Train in `run_dir` to the config's last epoch."""
-    torch.set_num_threads(config.ppo.threads)
+    # The workers use all cores; the update, which they wait for, may have more than one (`ppo.threads`).
+    torch.set_num_threads(1)
     spec = build_spec(choice, config)
     if config.env.task != "grasp" and config.motion.stable_alone:
         spec = only_stable(spec)

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from dgrasp.config_sections import PhysicsConfig
+from dgrasp.geometry.inside import inside_hull
 from dgrasp.geometry.intersection import Body
 from dgrasp.hand.model import HandModel
 from dgrasp.labels.distance import HandSpheres, part_poses
@@ -40,11 +41,22 @@ class Carrying:
         gaps, nearest = _gaps(points, centers_O, self._spheres.radii)
         # A finger outside of a thin wall does not touch the wall's inner side.
         facing = np.einsum("pi,pi->p", cores_O[nearest] - points, normals) > 0.0
-        near = np.flatnonzero((gaps < 0.0) | (facing & (gaps < REACH)))
+        near = np.flatnonzero(self._pressed(points, centers_O, gaps) | (facing & (gaps < REACH)))
         near = near[np.linspace(0, len(near) - 1, min(len(near), _CONTACTS)).astype(int)]
         return holds_weight(
             points[near], normals[near], self._centers[label.object_id], label.T_WO[2, :3], PhysicsConfig().friction
         )
+
+
+    def _pressed(self, points: Array, centers_O: Array, gaps: Array) -> Array:
+        """(P,) bool: which points of the surface are inside of the hand."""
+        inside = gaps < 0.0
+        for part in np.unique(self._spheres.parts):
+            # The points of boxes and hulls have no radius, but what is between them is the hand too.
+            own = centers_O[(self._spheres.parts == part) & (self._spheres.radii == 0.0)]
+            if len(own) > 3:
+                inside |= inside_hull(own, points)
+        return inside
 
 
 def _samples(body: Body) -> tuple[Array, Array]:

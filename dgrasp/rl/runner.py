@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import json
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -43,6 +43,17 @@ def epoch_generator(seed: int, epoch: int) -> torch.Generator:
     # The spawn key keeps it apart from streams that others derive from the same two numbers.
     sequence = np.random.SeedSequence([seed, epoch], spawn_key=(1,))
     return torch.Generator().manual_seed(int(sequence.generate_state(1, np.uint64)[0]))
+
+
+@contextlib.contextmanager
+def _threads(number: int) -> Iterator[None]:
+    """So many torch threads; evaluations, before and after, have as many as ever."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(number)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
 
 
 def pick_device(name: str) -> torch.device:
@@ -126,7 +137,8 @@ class Runner:
             lost = self._lost_steps
             rewards = self._collect(epoch, log)
             collected = time.monotonic()
-            statistics = self.ppo.update(self.rollout, generator)
+            with _threads(self.config.ppo.threads):
+                statistics = self.ppo.update(self.rollout, generator)
             steps = self._steps_in(epoch) - (self._lost_steps - lost)
             speed = self._speed(steps, collected - started, time.monotonic() - collected)
             last = epoch == last_epoch or time.monotonic() > deadline
@@ -204,7 +216,8 @@ class Runner:
         return min(ppo.epochs, max(1, last))
 
     def _open_log(self) -> Log:
-        return Log(
+        ppo = self.config.ppo
+        log = Log(
             self.run_dir,
             self.config,
             self.data_stamp,
@@ -213,6 +226,8 @@ class Runner:
             self.last_epoch,
             self._resumed_epoch,
         )
+        log.plan(self.env.num_envs, ppo.epochs, ppo.max_steps)
+        return log
 
     def _snapshot(self) -> Checkpoint:
         return Checkpoint(

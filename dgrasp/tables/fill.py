@@ -26,7 +26,7 @@ from dgrasp.paths import cfg_root
 from dgrasp.tables.plan import Line, Plan, Trial
 from dgrasp.tables.trainings import Say, Trainings
 
-_OF_TEST = ("labels.", "physics.", "motion.", "eval.window_s", "env.grasp_steps")
+_OF_TEST = ("labels.", "physics.", "eval.window_s", "env.grasp_steps")
 _NOT_OF_TEST = ("labels.per_epoch", "labels.doubles_every", "motion.policy", "motion.targets")
 """Keys that say what an evaluation is of; those that the training or the table chooses."""
 
@@ -57,7 +57,8 @@ class Cells:
 class Found:
     """What one seed has of a row: its labels' rows, the evaluations that they are from, and as in `Cells`.
 
-    changed: keys by which the evaluations are others than the row's.
+    changed: keys by which the evaluations are others than the row's. places: of each label's row, which evaluation of
+    the table's row it is from.
     """
 
     seed: int
@@ -67,6 +68,12 @@ class Found:
     notes: list[str] = field(default_factory=list)
     commands: list[str] = field(default_factory=list)
     changed: list[str] = field(default_factory=list)
+    places: list[int] = field(default_factory=list)
+
+    @property
+    def tagged(self) -> list[tuple[int, Row]]:
+        """The rows, each with the place in the row of the evaluation that it is from."""
+        return list(zip(self.places, self.rows, strict=True))
 
 
 class Tables:
@@ -91,7 +98,7 @@ class Tables:
     def find(self, line: Line, motion: bool) -> Found:
         """The evaluations of a row, as far as its policies are trained."""
         found = Found(self.seed)
-        for trial in line.trials:
+        for place, trial in enumerate(line.trials):
             try:
                 missing = None if trial.run is None else self.trainings.missing(trial.run)
                 if missing is not None:
@@ -104,6 +111,7 @@ class Tables:
             found.commands.append(command)
             found.changed += [key for key in changed if key not in found.changed]
             found.rows += result["per_label"]
+            found.places += [place] * len(result["per_label"])
             found.results.append(result)
             if trial.run is not None:
                 found.notes += self.trainings.about(trial.run)
@@ -126,7 +134,7 @@ class Tables:
         if motion:
             words += ["--motion", usual_set(choice)]
             config = request.config_of(_parse(words))
-        command, changed = shlex.join(["python", "test.py", *words]), _changed(trial, config)
+        command, changed = shlex.join(["python", "test.py", *words]), _changed(trial, config, motion)
         file = self.results / f"{self._key(trial, config, choice)}.json"
         if file.is_file():
             try:
@@ -170,7 +178,7 @@ def _row(line: Line, seeds: Sequence[Found]) -> Cells:
     there = [one for one in seeds if one.rows]
     if not there:
         return cells
-    rows, results = _over_seeds([one.rows for one in there]), [result for one in there for result in one.results]
+    rows, results = _over_seeds([one.tagged for one in there]), [result for one in there for result in one.results]
     whole = _summary(rows, there[0].results[0])
     cells.values, cells.n = dict(whole.mean_over_objects), len(rows)
     cells.intervals = dict(whole.intervals["mean_over_objects"])
@@ -183,21 +191,21 @@ def _row(line: Line, seeds: Sequence[Found]) -> Cells:
     return cells
 
 
-def _over_seeds(seeds: Sequence[list[Row]]) -> list[Row]:
-    """One row for each label, or motion, with the means over the seeds that have it.
+def _over_seeds(seeds: Sequence[Sequence[tuple[int, Row]]]) -> list[Row]:
+    """One row for each label, or motion, with the means over the seeds that have it. Rows come with their evaluation.
 
     Several seeds tell no more of other labels than one does: an interval over labels must count each once.
     """
     if len(seeds) == 1:
-        return seeds[0]
+        return [row for _, row in seeds[0]]
     same: dict[tuple[Any, ...], list[Row]] = {}
-    for rows in seeds:
+    for tagged in seeds:
         counted: dict[tuple[Any, ...], int] = {}
-        for row in rows:
-            label = row["object"], row["index"]
+        for place, row in tagged:
+            label = place, row["object"], row["index"]
             counted[label] = counted.get(label, 0) + 1
             same.setdefault((*label, counted[label]), []).append(row)
-    return [{"object": name, "index": index, **_mean(rows)} for (name, index, _), rows in same.items()]
+    return [{"object": name, "index": index, **_mean(rows)} for (_, name, index, _), rows in same.items()]
 
 
 def _mean(rows: Sequence[Row]) -> Row:
@@ -205,13 +213,15 @@ def _mean(rows: Sequence[Row]) -> Row:
     return {name: float(np.mean([row[name] for row in rows if name in row])) for name in names}
 
 
-def _changed(trial: Trial, config: Config) -> list[str]:
+def _changed(trial: Trial, config: Config, motion: bool) -> list[str]:
     """The keys that make an evaluation another one than its row asks for, with their values."""
     file = None if trial.run is None or trial.run.cfg is None else Path(trial.run.cfg)
-    asked = load_config(cfg_root() / (file or Path("dexycb.yaml")).name, list(trial.overrides))
+    words = ["physics.preset=faithful", *trial.overrides]
+    asked = load_config(cfg_root() / (file or Path("dexycb.yaml")).name, words)
     there, here = (flat_keys(one.model_dump(mode="json")) for one in (asked, config))
+    counted = (*_OF_TEST, "motion.") if motion else _OF_TEST
     return [f"{key}={here[key]}" for key in here
-            if key.startswith(_OF_TEST) and key not in _NOT_OF_TEST and here[key] != there.get(key)]
+            if key.startswith(counted) and key not in _NOT_OF_TEST and here[key] != there.get(key)]
 
 
 def _comparable(result: Mapping[str, Any]) -> bool:

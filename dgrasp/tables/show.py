@@ -55,7 +55,8 @@ def header_of(plan: Plan) -> list[str]:
 
 def remarks(plan: Plan, rows: Sequence[Cells]) -> list[str]:
     """What stands under a table: marks, trainings, and how to make what is missing."""
-    lines = [NOT_THE_PAPERS] if any(cells.values and not cells.comparable for cells in rows) else []
+    apart = any(cells.values and not cells.comparable for cells in rows)
+    lines = [NOT_THE_PAPERS if plan.of_paper else NOT_THE_PAPERS.rsplit(",", 1)[0]] if apart else []
     for cells in rows:
         for metric in plan.metrics:
             name, number = _TITLES[metric]

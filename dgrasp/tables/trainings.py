@@ -21,7 +21,7 @@ from dgrasp.data import resolve
 from dgrasp.errors import DataError, DGraspError
 from dgrasp.paths import cfg_root
 from dgrasp.rl import checkpoint
-from dgrasp.runs import read_run
+from dgrasp.runs import Run, read_run
 from dgrasp.tables.plan import ALL_OBJECTS, FAST, Plan, Trained, plans
 
 Say = Callable[[str], None]
@@ -83,6 +83,8 @@ class Trainings:
         if before is not None:
             return f"{before} and then train {run.key}"
         if (self.run_dir(run) / "config.yaml").is_file():
+            if read_run(self.run_dir(run)).state == "running":
+                return f"{self.run_dir(run)} is being trained and has no checkpoint yet"
             return shlex.join(["python", "train.py", "--resume", str(self.run_dir(run))])
         return shlex.join(["python", "train.py", *self.words(run)])
 
@@ -91,7 +93,7 @@ class Trainings:
         if self.policy is not None and self.stands_in(run):
             return [f"the policy of all objects is {self.policy.name}"]
         # What is evaluated is the last checkpoint; the log may be ahead of it.
-        made = read_run(self.run_dir(run))
+        made = self._as_long(run, read_run(self.run_dir(run)))
         if there_are := checkpoint.saved(self.run_dir(run)):
             made = made.until(int(there_are[-1].stem))
         # What the paper trained with is the default of every key, but for the baselines, which have files of their own.
@@ -156,10 +158,7 @@ class Trainings:
         folder = self.run_dir(run)
         if not (folder / "config.yaml").is_file():
             return "train"
-        made = read_run(folder)
-        made = replace(made, config=made.config.model_copy(
-            update={"ppo": made.config.ppo.model_copy(update=self._length(run))}
-        ))  # fmt: skip
+        made = self._as_long(run, read_run(folder))
         # One that ended with its share of an earlier budget goes on.
         if made.state == "running" or made.complete or self._other_data(run) is not None:
             return None
@@ -184,6 +183,11 @@ class Trainings:
         """How long a training is to be, as this command says."""
         ppo = self._config(run).ppo
         return {name: getattr(ppo, name) for name in _LENGTH}
+
+    def _as_long(self, run: Trained, made: Run) -> Run:
+        """A run, to be as long as this command says."""
+        ppo = made.config.ppo.model_copy(update=self._length(run))
+        return replace(made, config=made.config.model_copy(update={"ppo": ppo}))
 
     def _other_data(self, run: Trained) -> str | None:
         """Why a run is not of the tables' data; None where it is, or is not there."""

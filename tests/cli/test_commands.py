@@ -65,19 +65,16 @@ def test_resume_gives_the_bits_of_the_uninterrupted_run(trained, folder, tmp_pat
 
 
 def test_the_update_has_the_threads_that_it_is_given(folder, tmp_path, monkeypatch):
-    threads, update, before = [], Ppo.update, torch.get_num_threads()
+    threads, update = [], Ppo.update
 
     def watched(*arguments):
         threads.append(torch.get_num_threads())
         return update(*arguments)
 
     monkeypatch.setattr(Ppo, "update", watched)
-    try:
-        words = ["--data", str(folder), "--run", str(tmp_path / "run"), *SHORT, "ppo.epochs=1", "ppo.threads=2"]
-        assert run_command("train", words) == 0
-    finally:
-        torch.set_num_threads(before)
-    assert threads == [2]
+    words = ["--data", str(folder), "--run", str(tmp_path / "run"), *SHORT, "ppo.epochs=1", "ppo.threads=2"]
+    assert run_command("train", words) == 0
+    assert threads == [2] and torch.get_num_threads() == 1
 
 
 def test_json_of_a_run_and_of_the_baseline(trained, tmp_path, capsys):
@@ -161,6 +158,9 @@ def test_bad_input_is_one_message_and_exit_2(folder, tmp_path, capsys, words, sa
 def test_runs_that_begin_together_have_a_directory_each(folder, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     assert [next_run("a"), next_run("a"), next_run("b")] == [Path("runs/a_1"), Path("runs/a_2"), Path("runs/b_1")]
+    assert [next_run("a[1]"), next_run("a[1]"), next_run("of/a"), next_run("of/a")] == [
+        Path("runs/a[1]_1"), Path("runs/a[1]_2"), Path("runs/of/a_1"), Path("runs/of/a_2")
+    ]  # fmt: skip
     config = make_config({"data": str(folder)})
     start_run(Path("mine"), config, resolve(config), new=True)
     # Another process that found the folder empty a moment before.

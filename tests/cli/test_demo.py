@@ -27,8 +27,9 @@ def test_the_demo_from_end_to_end(
     write_weights(weights, Checkpoint(1, model.state_dict(), {}, 1e-3, model.architecture(), config, {}, "0", None))
     monkeypatch.setattr(demo, "PRETRAINED_FILE", weights)
     short = [*SHORT, "motion.steps=3", "env.hold.first_step=2", "env.hold.last_step=4", "ppo.max_minutes=1"]
-    run = tmp_path / "run"
-    assert run_command("demo", ["--run", str(run), *short]) == 0
+    monkeypatch.chdir(tmp_path)
+    run = Path("runs/demo_1")
+    assert run_command("demo", short) == 0
     shown = capsys.readouterr().out
     assert "20 labels that no policy was trained on" in shown and "mean over objects" in shown
     assert "carrying six objects" in shown and "trained from nothing on 004_sugar_box" in shown

@@ -146,6 +146,15 @@ def test_the_far_side_of_a_thin_wall_is_not_touched() -> None:
     assert not carrying.carries(label((0.0015 + 0.001 - nearest, 0.0, 0.0)))
 
 
+def test_a_hull_that_is_pressed_in_deeply_touches() -> None:
+    # Points of hulls have no radius; between them is the hand.
+    carrying = Carrying(HAND, {"box": body([shape_mesh(Shape("box", (0.2, 0.2, 0.2)))])}, {"box": np.zeros(3)})
+    corners = np.array([[x, y, z] for x in (-0.01, 0.01) for y in (-0.01, 0.01) for z in (-0.05, 0.05)])
+    carrying._spheres = HandSpheres(corners, np.zeros(8), np.zeros(8, int))
+    points = np.array([[0.0, 0.0, 0.0], [0.02, 0.0, 0.0]])
+    assert carrying._pressed(points, corners, np.full(2, np.inf)).tolist() == [True, False]
+
+
 def test_limits_frames_and_contacts() -> None:
     pose = np.zeros(45)
     pose[3] = HAND.limits[9, 1] + np.deg2rad(20.0)
