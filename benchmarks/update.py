@@ -13,13 +13,12 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from dgrasp.config import load_config
+from dgrasp.config import find_config, load_config
 from dgrasp.rl.collect import Trajectories
 from dgrasp.rl.networks import ActorCritic
 from dgrasp.rl.ppo import Ppo
 from dgrasp.rl.runner import epoch_generator
 from dgrasp.rl.storage import Rollout
-from dgrasp.train import find_config
 
 ACTIONS = 51
 

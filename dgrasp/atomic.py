@@ -14,7 +14,8 @@ def write_atomic(path: Path, content: bytes | str) -> None:
 
     Raises `DataError` naming the path where it cannot be written; nothing is left behind then.
     """
-    path = Path(path)
+    # What a link points to is replaced, not the link.
+    path = Path(os.path.realpath(path))
     raw = content.encode("utf-8") if isinstance(content, str) else content
     temporary = ""
     try:

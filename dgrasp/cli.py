@@ -79,21 +79,28 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def run_command(name: str, arguments: Sequence[str], prog: str | None = None) -> int:
     """One command with its arguments; train.py and test.py call this."""
-    from dgrasp.rl.runner import Interrupted
-
-    module = import_module(COMMANDS[name])
-    parser = argparse.ArgumentParser(
-        prog=prog, description=module.HELP, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    module.add_arguments(parser)
     try:
-        return int(module.main(parser.parse_intermixed_args(arguments)))
-    except DGraspError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return EXIT_BAD_INPUT
-    except Interrupted as stop:
-        print(str(stop), file=sys.stderr)
-        return 0 if stop.preempted else EXIT_INTERRUPTED
+        from dgrasp.rl.runner import Interrupted
+
+        try:
+            module = import_module(COMMANDS[name])
+            parser = argparse.ArgumentParser(
+                prog=prog, description=module.HELP, formatter_class=argparse.RawDescriptionHelpFormatter
+            )
+            module.add_arguments(parser)
+            return int(module.main(parser.parse_intermixed_args(arguments)))
+        except DGraspError as error:
+            print(f"error: {error}", file=sys.stderr)
+            return EXIT_BAD_INPUT
+        except Interrupted as stop:
+            print(str(stop), file=sys.stderr)
+            return 0 if stop.preempted else EXIT_INTERRUPTED
+        except OSError as error:
+            # A path that may not be entered, or is too long; what names no file is a defect of ours.
+            if error.filename is None:
+                raise
+            print(f"error: {error.filename}: {error.strerror}", file=sys.stderr)
+            return EXIT_BAD_INPUT
     except KeyboardInterrupt:
         print("interrupted", file=sys.stderr)
         return EXIT_INTERRUPTED

@@ -25,6 +25,7 @@ from dgrasp.config_sections import (
 )
 from dgrasp.config_values import apply_overrides, parse_yaml
 from dgrasp.errors import ConfigError
+from dgrasp.paths import cfg_root
 
 
 class Config(Section):
@@ -34,7 +35,7 @@ class Config(Section):
     at data/objects.
     """
 
-    name: str = "dexycb"
+    name: Annotated[str, Field(pattern=r"^[^/\\\x00]{1,100}$")] = "dexycb"
     seed: Annotated[int, Field(ge=0)] = 1
     engine: Literal["pybullet", "mujoco"] = "pybullet"
     device: Literal["auto", "cpu", "cuda"] = "auto"
@@ -143,3 +144,11 @@ def load_config(path: Path | None, overrides: list[str] | None = None) -> Config
 def dump_config(config: Config) -> str:
     """The config as YAML, complete, so that a run can be repeated."""
     return yaml.safe_dump(config.model_dump(mode="json"), sort_keys=False)
+
+
+def find_config(path: Path | None) -> Path | None:
+    """A config file; `cfg/NAME.yaml` also names the one that comes with the package."""
+    if path is None or path.is_file() or path.parent != Path("cfg"):
+        return path
+    shipped = cfg_root() / path.name
+    return shipped if shipped.is_file() else path

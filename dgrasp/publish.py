@@ -30,6 +30,8 @@ def main(arguments: argparse.Namespace) -> int:
     source, out = arguments.source, arguments.out
     if out.suffix != SUFFIX or not out.parent.is_dir():
         raise DataError(f"--out {out}: expected the name of a {SUFFIX} file in a folder that exists")
+    if out.exists():
+        raise DataError(f"--out {out} exists already; choose another name, or remove it")
     if source.is_dir():
         best = source / checkpoint.BEST
         source = best if best.is_file() else checkpoint.latest(source)

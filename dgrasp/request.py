@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import json
+import math
+import re
 from pathlib import Path
 from typing import Any
 
 from dgrasp.baselines import BASELINES, TRAINED_BASELINES, method_of
 from dgrasp.baselines.static_grasp import StaticGrasp
-from dgrasp.config import Config, make_config, read_values
+from dgrasp.config import Config, find_config, make_config, read_values
 from dgrasp.config_sections import SENSES
 from dgrasp.config_values import apply_overrides
 from dgrasp.errors import ConfigError
@@ -19,7 +22,6 @@ from dgrasp.rl import checkpoint
 from dgrasp.rl.policies import SavedPolicy, read_policy
 from dgrasp.rl.weights import SUFFIX
 from dgrasp.tables.plan import NAMES
-from dgrasp.train import find_config
 from raisim_like.engines import ENGINES
 
 PRETRAINED = "pretrained"
@@ -39,7 +41,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                       "weights of `dgrasp publish`")
     parser.add_argument("--table", choices=(*NAMES, "all"), help="a table of the paper: evaluate what is there, say "
                         "how to train the rest")
-    parser.add_argument("--budget", type=float, metavar="MINUTES", help="with --table: train what is missing, so long")
+    parser.add_argument("--budget", type=_minutes, metavar="MINUTES",
+                        help="with --table: train what is missing, so long")
     parser.add_argument("--seeds", type=_numbers, default=[], metavar="K,K,...",
                         help="with --table: policies of these seeds, averaged (default: the config's one)")
     parser.add_argument("--runs", type=Path, metavar="DIR",
@@ -64,10 +67,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _numbers(text: str) -> list[int]:
-    numbers = [int(word) for word in text.split(",")]
-    if min(numbers) < 0:
-        raise ValueError("a seed is at least 0")
-    return numbers
+    if not re.fullmatch(r"\d+(,\d+)*", text):
+        raise argparse.ArgumentTypeError(f"{text!r}: expected seeds, whole numbers with commas between, such as 1,2,3")
+    return [int(word) for word in text.split(",")]
+
+
+def _minutes(text: str) -> float:
+    with contextlib.suppress(ValueError):
+        minutes = float(text)
+        if math.isfinite(minutes) and minutes > 0.0:
+            return minutes
+    raise argparse.ArgumentTypeError(f"{text!r}: expected minutes, more than 0")
 
 
 def config_of(arguments: argparse.Namespace) -> Config:

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import argparse
 import csv
+import io
 import json
+import math
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
 from dgrasp.config import Config, load_config
@@ -102,9 +105,20 @@ def read_run(path: Path) -> Run:
             raise ConfigError(f"{path / 'data.json'}: not JSON ({error}); was it changed by hand?") from None
     rows: list[dict[str, str]] = []
     if (path / CSV_NAME).is_file():
-        with open(path / CSV_NAME, encoding="utf-8", newline="") as stream:
-            rows = [row for row in csv.DictReader(stream) if (row.get("seconds") or "") and None not in row]
+        # A power cut leaves NULs, an editor other things; such rows are not counted.
+        text = (path / CSV_NAME).read_text(encoding="utf-8", errors="replace").replace("\0", "")
+        rows = [row for row in csv.DictReader(io.StringIO(text, newline="")) if None not in row and _is_sound(row)]
     return Run(path, load_config(path / "config.yaml"), data if isinstance(data, dict) else {}, rows, read_plan(path))
+
+
+def _is_sound(row: dict[str, str]) -> bool:
+    """Whether the columns that are read here hold numbers."""
+    try:
+        int(row["epoch"]), int(row["control_steps"])
+        numbers = [float(row["seconds"]), *(float(row.get(name) or 0.0) for name in ("core_hours", "success"))]
+        return all(map(math.isfinite, numbers))
+    except (KeyError, TypeError, ValueError):
+        return False
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -136,10 +150,10 @@ def main(arguments: argparse.Namespace) -> int:
         try:
             run = read_run(path)
         except ConfigError as error:
-            table.add_row(path.name, "unreadable")
+            table.add_row(escape(path.name), "unreadable")
             refused.append(str(error))
             continue
-        table.add_row(path.name, run.state, _data(run), run.config.engine, _objects(run), *_cost(run))
+        table.add_row(escape(path.name), run.state, _data(run), run.config.engine, _objects(run), *_cost(run))
     _print(table)
     for line in refused:
         print(f"\n{line}")
@@ -168,18 +182,18 @@ def _objects(run: Run) -> str:
 
 
 def _compare(a: Run, b: Run) -> None:
-    table = Table("", a.path.name, b.path.name, box=None)
+    table = Table("", escape(a.path.name), escape(b.path.name), box=None)
     table.add_row("state", a.state, b.state)
     table.add_row("data", _data(a), _data(b))
     for name, *values in zip(_COST, _cost(a), _cost(b), strict=True):
         table.add_row(name, *values)
     one, other = flat_keys(a.config.model_dump(mode="json")), flat_keys(b.config.model_dump(mode="json"))
     for key in sorted(key for key in one if one[key] != other[key]):
-        table.add_row(key, str(one[key]), str(other[key]), style="bold")
+        table.add_row(key, escape(str(one[key])), escape(str(other[key])), style="bold")
     _print(table)
     if not (a.curve and b.curve):
         return
-    curves = Table("control steps", f"success of {a.path.name}", f"success of {b.path.name}", box=None)
+    curves = Table("control steps", *(escape(f"success of {run.path.name}") for run in (a, b)), box=None)
     for column in curves.columns:
         column.justify = "right"
     # Up to where the shorter one went, success as last evaluated.

@@ -20,6 +20,7 @@ from dgrasp.evaluate import evaluate_choice, evaluate_motion
 from dgrasp.export.collect import display_meshes, sequences
 from dgrasp.export.film import record_pictures
 from dgrasp.export.sequence import check_folder, write_folder
+from dgrasp.outputs import check_outputs
 from dgrasp.report.page import write_report
 from dgrasp.request import add_arguments, check_task, config_of, method_for
 from dgrasp.rl import checkpoint
@@ -62,12 +63,10 @@ def main(arguments: argparse.Namespace) -> int:
     if alone:
         raise ConfigError(f"{', '.join(alone)}: only a table has a use for that; name one, such as --table grasp, or "
                           f"leave {', '.join(alone)} away")
-    for file in (arguments.json, arguments.report, arguments.gif):
-        if file is not None and not file.parent.is_dir():
-            raise DataError(f"{file}: the folder {file.parent} does not exist")
     if arguments.json is not None and arguments.json.suffix.lower() in BESIDE_JSON:
         raise ConfigError(f"--json {arguments.json}: that is where a table goes that is written beside the JSON; "
                           f"expected a name such as {arguments.json.with_suffix('.json')}")
+    _check_outputs(arguments)
     if arguments.records is not None:
         check_folder(arguments.records)
     method = method_for(arguments)
@@ -79,12 +78,12 @@ def main(arguments: argparse.Namespace) -> int:
     print(choice.describe(), flush=True)
     evaluation = evaluate_choice if config.motion.targets is None else evaluate_motion
     result, records, spec = evaluation(method, config, choice)
-    output.print_table(result)
     extra: dict[str, Any] = {}
+    lines: list[str] = []
     if arguments.policy is not None and result.motion is None:
         agreement = find_agreement(arguments.policy, choice.labels, [bool(row["success"]) for row in result.per_label])
         if agreement is not None:
-            print("\n".join(agreement.lines()))
+            lines = agreement.lines()
             extra["raisim"] = agreement.plain()
     if result.motion is None:
         extra |= failures.report(result.per_label, result.window_s, config.control_period)
@@ -100,7 +99,24 @@ def main(arguments: argparse.Namespace) -> int:
             write_report(arguments.report, result, records, meshes, extra)
         if arguments.gif is not None:
             write_gif(arguments.gif, records, meshes)
+    # Last, for who reads only its first lines closes the pipe.
+    output.print_table(result)
+    print("\n".join(lines), end="\n" if lines else "")
     return 0
+
+
+def _check_outputs(arguments: argparse.Namespace) -> None:
+    given = {"--json": arguments.json, "--report": arguments.report, "--gif": arguments.gif}
+    outputs = {name: path for name, path in given.items() if path is not None}
+    if arguments.json is not None:
+        beside = [arguments.json.with_suffix(suffix) for suffix in BESIDE_JSON]
+        there = [str(path) for path in beside if path.exists()]
+        if there and not arguments.json.exists():
+            raise DataError(f"--json {arguments.json}: {there[0]} would be written beside it, and is there already; "
+                            "choose another name")
+        outputs |= {f"the {path.suffix} beside --json": path for path in beside}
+    inputs = [arguments.cfg, arguments.policy, *(Path(word) for word in (arguments.labels, arguments.motion) if word)]
+    check_outputs(outputs, inputs)
 
 
 def write_gif(

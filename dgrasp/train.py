@@ -15,7 +15,7 @@ import torch
 
 from dgrasp.baselines import TRAINED_BASELINES
 from dgrasp.build import build_spec, frozen_policy
-from dgrasp.config import Config, load_config
+from dgrasp.config import Config, find_config, load_config
 from dgrasp.data import DataChoice, resolve
 from dgrasp.errors import ConfigError, DataError
 from dgrasp.eval.evaluator import evaluate
@@ -23,13 +23,13 @@ from dgrasp.eval.method import PolicyMethod
 from dgrasp.eval.motion import choose_targets, motion_row, move, stable_grasps, usual_set
 from dgrasp.eval.summary import summarise
 from dgrasp.motion.targets import draw_targets
-from dgrasp.paths import cfg_root
 from dgrasp.pool import Pool, PoolSpec, make_pool
 from dgrasp.rl import checkpoint
 from dgrasp.rl.lock import only_run
 from dgrasp.rl.log import write_description
 from dgrasp.rl.networks import Policy
 from dgrasp.rl.runner import Runner
+from dgrasp.runs import read_run
 from dgrasp.types import EpisodeRecord
 from dgrasp.view.frames import gif_bytes, render_record
 
@@ -58,14 +58,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("overrides", nargs="*", metavar="key=value", help="config keys, such as ppo.epochs=100 seed=3")
 
 
-def find_config(path: Path | None) -> Path | None:
-    """A config file; `cfg/NAME.yaml` also names the one that comes with the package."""
-    if path is None or path.is_file() or path.parent != Path("cfg"):
-        return path
-    shipped = cfg_root() / path.name
-    return shipped if shipped.is_file() else path
-
-
 def main(arguments: argparse.Namespace) -> int:
     """Run the training that the command line describes; returns the exit code."""
     if arguments.resume is not None:
@@ -89,10 +81,20 @@ def main(arguments: argparse.Namespace) -> int:
         start_run(run_dir, config, choice, new=True)
     resume = arguments.resume is not None and bool(checkpoint.saved(run_dir))
     if arguments.resume is not None and not resume:
+        _refuse_lost_checkpoints(run_dir)
         print(f"{run_dir} was stopped before its first checkpoint, so it begins anew", flush=True)
     train(run_dir, config, choice, resume)
     print(f"done: {run_dir}\ntest it:  python test.py --run {run_dir}\nwatch it: tensorboard --logdir {run_dir.parent}")
     return 0
+
+
+def _refuse_lost_checkpoints(run_dir: Path) -> None:
+    """A run without checkpoints begins anew, but not where there must have been some: what is left would be lost."""
+    made = read_run(run_dir)
+    epochs = made.number("epoch")
+    if epochs >= min(made.config.checkpoint.every, made.epochs):
+        raise ConfigError(f"{run_dir}: its checkpoints are gone, after {epochs:.0f} epochs; put them back, test "
+                          f"{checkpoint.BEST} with --policy, or begin another run with --run")
 
 
 def _saved_config(run_dir: Path, arguments: argparse.Namespace) -> Config:

@@ -15,7 +15,7 @@ import numpy as np
 from gymnasium.vector import AutoresetMode
 
 from dgrasp.build import build_spec
-from dgrasp.config import Config, load_config, make_config
+from dgrasp.config import Config, find_config, load_config, make_config
 from dgrasp.config_values import apply_overrides
 from dgrasp.data import resolve
 from dgrasp.errors import ConfigError
@@ -34,16 +34,25 @@ def _config(cfg: Config | str | Path | None, overrides: list[str] | None, kind: 
     if isinstance(cfg, Config):
         config = make_config(apply_overrides(cfg.model_dump(), overrides or []))
     else:
-        config = load_config(None if cfg is None else Path(cfg), overrides)
+        config = load_config(None if cfg is None else find_config(Path(cfg)), overrides)
     # Every sub-environment that was asked for takes part in every episode, and all episodes are of the same length.
     labels = config.labels.model_copy(update={"per_epoch": None, "doubles_every": None})
-    return config.model_copy(update={"labels": labels, "pool": config.pool.model_copy(update={"kind": kind})})
+    values = config.model_copy(update={"labels": labels}).model_dump()
+    return make_config(apply_overrides(values, [f"pool.kind={kind}"]))
 
 
 def _spaces(observation_size: int, action_size: int) -> tuple[gymnasium.spaces.Box, gymnasium.spaces.Box]:
     observation = gymnasium.spaces.Box(-OBSERVATION_BOUND, OBSERVATION_BOUND, (observation_size,), np.float32)
     action = gymnasium.spaces.Box(-ACTION_BOUND, ACTION_BOUND, (action_size,), np.float32)
     return observation, action
+
+
+def _checked(action: Any, space: gymnasium.Space[Array]) -> Array:
+    """The action as float32; a `ValueError` for another shape, which would be broadcast without a word."""
+    given = np.asarray(action, np.float32)
+    if given.shape != space.shape:
+        raise ValueError(f"actions of shape {given.shape}; expected {space.shape}")
+    return given
 
 
 def _spec(config: Config) -> PoolSpec:
@@ -83,7 +92,7 @@ class GraspGymEnv(gymnasium.Env[Array, Array]):
         return self._pool.reset(self._episode)[0].copy(), {}
 
     def step(self, action: Array) -> tuple[Array, float, bool, bool, dict[str, Any]]:
-        result = self._pool.step(np.asarray(action, np.float32)[None])
+        result = self._pool.step(_checked(action, self.action_space)[None])
         ended = bool(result.terminated[0] or result.truncated[0])
         observation = (result.final_observation if ended else result.observation)[0].copy()
         terms = dict(zip(self._pool.reward_terms, result.reward_terms[0].tolist(), strict=True))
@@ -139,7 +148,7 @@ class GraspVectorEnv(gymnasium.vector.VectorEnv[Array, Array, Array]):
         return self._pool.reset(int(self.np_random.integers(2**31))).copy(), {}
 
     def step(self, actions: Array) -> tuple[Array, Array, Array, Array, dict[str, Any]]:
-        result = self._pool.step(np.asarray(actions, np.float32))
+        result = self._pool.step(_checked(actions, self.action_space))
         info: dict[str, Any] = {
             f"reward_{name}": result.reward_terms[:, i].copy() for i, name in enumerate(self._pool.reward_terms)
         }

@@ -24,6 +24,7 @@ import numpy as np
 
 from dgrasp.atomic import write_atomic
 from dgrasp.errors import DataError
+from dgrasp.eval.failures import KINDS
 from dgrasp.labels.npz_reader import open_npz
 from dgrasp.types import Array, EpisodeRecord, GraspLabel
 from dgrasp.view.meshes import BODIES, DisplayMeshes, Mesh
@@ -39,6 +40,10 @@ _LABEL = {"hand_pose": (45,), "T_WH": (4, 4), "T_WO": (4, 4), "joints_W": (21, 3
 _MASKS = ("contacts", "table_contact", "goal_contacts")
 _ABOUT = {"method": str, "engine": str, "window_s": float, "timestep_s": float, "dt": float, "window_start": int,
           "terminated": str, "table": dict, "label": dict, "row": dict, "data": dict}
+
+
+_NUMBERS = ("lost_s", "mpe_m", "geodesic_rad", "sim_dist_mm_per_step", "contact_ratio", "interpenetration_cm3")
+"""Of a row, what pages show as numbers."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -154,9 +159,13 @@ def read_sequence(path: Path) -> StoredSequence:
                           {**about, "mano": meta.get("mano")})
 
 
+def _no_constant(text: str) -> float:
+    raise ValueError(f"{text} is no number of JSON")
+
+
 def _meta(path: Path, text: Array) -> dict[str, Any]:
     try:
-        meta = json.loads(str(text[()])) if text.shape == () else None
+        meta = json.loads(str(text[()]), parse_constant=_no_constant) if text.shape == () else None
     except (ValueError, RecursionError):
         meta = None
     if not isinstance(meta, dict) or meta.get("format") != FORMAT:
@@ -171,8 +180,13 @@ def _meta(path: Path, text: Array) -> dict[str, Any]:
             "label": not {"object", "index", "source", "hand", "on_table"} - set(label) and type(label["index"]) is int,
             "table": all(isinstance(table.get(key), int | float) for key in ("top_m", "lowered_m")),
             "dt": meta["dt"] > 0.0,
+            "timestep_s": meta["timestep_s"] > 0.0,
+            "row": all(isinstance(value, str | int | float) for value in meta["row"].values())
+            and all(isinstance(meta["row"].get(key, 0.0), int | float) for key in _NUMBERS)
+            and meta["row"].get("failure", KINDS[0]) in KINDS,
             "window_start": meta["window_start"] >= 0,
-            "mano": mano is None or isinstance(mano, dict),
+            "mano": mano is None or (isinstance(mano, dict) and mano.get("side") in ("right", "left")
+                                     and isinstance(mano.get("betas"), list)),
         }
         wrong = [key for key, ok in sound.items() if not ok]
     if wrong:

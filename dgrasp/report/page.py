@@ -173,11 +173,11 @@ def replays_section(shown: Sequence[tuple[str, EpisodeRecord, dict[str, Any]]]) 
             said += f" \u00b7 {1000.0 * row['mpe_m']:.0f} mm off"
         elif "sim_dist_mm_per_step" in row:
             said += f" \u00b7 {row['sim_dist_mm_per_step']:.1f} mm/step"
-        kind = row.get("failure", "held" if row.get("carried", True) else "drop")
+        kind = escape(str(row.get("failure", "held" if row.get("carried", True) else "drop")), quote=True)
         thumbs.setdefault(group, []).append(
             f'<button class="thumb" data-replay="{place}" aria-pressed="false"><canvas></canvas>'
-            f"<b>{escape(str(row['object']))} [{row['index']}]</b>"
-            f'<span><i class="k-{kind}"></i>{said}</span></button>'
+            f"<b>{escape(str(row['object']))} [{escape(str(row['index']))}]</b>"
+            f'<span><i class="k-{kind}"></i>{escape(said)}</span></button>'
         )
     strips = "".join(
         f'<h3>{escape(group.capitalize())} {len(buttons)}</h3><div class="strip">{"".join(buttons)}</div>'

@@ -10,6 +10,7 @@ from pathlib import Path
 from dgrasp.atomic import write_atomic
 from dgrasp.errors import ConfigError
 from dgrasp.export.sequence import read_sequence, sequence_files
+from dgrasp.outputs import check_outputs
 from dgrasp.report import replay
 from dgrasp.report.page import document, replays_section
 
@@ -38,8 +39,9 @@ def main(arguments: argparse.Namespace) -> int:
     """Write the page and open it; returns the exit code."""
     files = sequence_files(arguments.source)
     out = arguments.out or (arguments.source if arguments.source.is_dir() else arguments.source.parent) / "view.html"
-    if not out.parent.is_dir():
-        raise ConfigError(f"--out {out}: the folder {out.parent} does not exist")
+    if out.suffix.lower() not in (".html", ".htm"):
+        raise ConfigError(f"--out {out}: expected the name of an .html file")
+    check_outputs({"--out": out}, files)
     if len(files) > MOST:
         print(f"{len(files)} sequences: every {-(-len(files) // MOST)}th is shown")
         files = files[:: -(-len(files) // MOST)]

@@ -13,9 +13,9 @@ from typing import Any
 
 import numpy as np
 
-from dgrasp import evaluate, request, train
+from dgrasp import evaluate, request
 from dgrasp.atomic import write_atomic
-from dgrasp.config import Config, load_config
+from dgrasp.config import Config, find_config, load_config
 from dgrasp.config_values import flat_keys
 from dgrasp.data import DataChoice, resolve
 from dgrasp.errors import DataError, DGraspError
@@ -90,7 +90,7 @@ class Tables:
     ) -> None:  # fmt: skip
         self.cfg = cfg or Path("cfg/dexycb.yaml")
         self.overrides, self.say = list(overrides), say
-        config = load_config(train.find_config(self.cfg), self.overrides)
+        config = load_config(find_config(self.cfg), self.overrides)
         folder = root / f"{config.name}_{config.engine}_seed{config.seed}"
         self.seed, self.results = config.seed, folder / "results"
         self.trainings = Trainings(folder, self.cfg, self.overrides, policy, say)

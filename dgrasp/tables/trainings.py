@@ -15,7 +15,7 @@ from typing import Any
 from dgrasp import train
 from dgrasp.atomic import write_atomic
 from dgrasp.build import frozen_policy
-from dgrasp.config import Config, load_config
+from dgrasp.config import Config, find_config, load_config
 from dgrasp.config_values import flat_keys
 from dgrasp.data import resolve
 from dgrasp.errors import DataError, DGraspError
@@ -98,7 +98,7 @@ class Trainings:
             made = made.until(int(there_are[-1].stem))
         # What the paper trained with is the default of every key, but for the baselines, which have files of their own.
         asked = load_config(None if run.cfg is None else cfg_root() / Path(run.cfg).name, list(run.overrides))
-        told = load_config(train.find_config(Path(run.cfg or self.cfg)), [*self.overrides, *run.overrides])
+        told = load_config(find_config(Path(run.cfg or self.cfg)), [*self.overrides, *run.overrides])
         there, here, now = (flat_keys(config.model_dump(mode="json")) for config in (asked, made.config, told))
         counted = [key for key in here if key.startswith(_OF_TRAINING) and not key.startswith("ppo.max_")]
         changed = [f"{key}={here[key]}" for key in counted if here[key] != there[key]]
@@ -177,7 +177,7 @@ class Trainings:
 
     def _config(self, run: Trained, *more: str) -> Config:
         """What a run is, or would be, trained with here."""
-        return load_config(train.find_config(Path(run.cfg or self.cfg)), [*self.overrides, *run.overrides, *more])
+        return load_config(find_config(Path(run.cfg or self.cfg)), [*self.overrides, *run.overrides, *more])
 
     def _length(self, run: Trained) -> dict[str, Any]:
         """How long a training is to be, as this command says."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -177,6 +178,48 @@ def test_what_a_run_is_resumed_with_is_written_down_from_its_first_epoch_on(fold
     assert run_command("train", words) == 0
     assert load_config(tmp_path / "run" / "config.yaml").env.reward.pose == 0.7
     assert run_command("test", ["--run", str(tmp_path / "run")]) == 0
+
+
+def test_a_run_whose_checkpoints_are_gone_is_not_begun_anew(trained, tmp_path, capsys):
+    run = shutil.copytree(trained, tmp_path / "run")
+    shutil.rmtree(run / "checkpoints")
+    before = {path: path.read_bytes() for path in run.rglob("*") if path.is_file()}
+    assert run_command("train", ["--resume", str(run), "ppo.epochs=5"]) == 2
+    assert "its checkpoints are gone, after 4 epochs" in capsys.readouterr().err
+    assert {path: path.read_bytes() for path in run.rglob("*") if path.is_file()} == before
+
+
+def test_what_is_beside_a_new_json_stays(folder, tmp_path, capsys):
+    (tmp_path / "notes.md").write_text("mine")
+    words = ["--baseline", "gt_pd", "--data", str(folder), *SHORT, "--json", str(tmp_path / "notes.json")]
+    assert run_command("test", words) == 2
+    assert "notes.md would be written beside it" in capsys.readouterr().err
+    assert [path.name for path in tmp_path.iterdir()] == ["notes.md"]
+    labels = folder / "labels" / "free_train.npz"
+    before = labels.read_bytes()
+    words = ["--baseline", "gt_pd", "--data", str(folder), *SHORT, "--labels", str(labels), "--report", str(labels)]
+    assert run_command("test", words) == 2
+    assert "which is read" in capsys.readouterr().err and labels.read_bytes() == before
+
+
+def test_names_that_no_file_can_have_are_one_error(folder, tmp_path, capsys):
+    long = str(tmp_path / ("x" * 300))
+    for command, words in (
+        ("train", ["--data", str(folder), "--run", long]), ("runs", [long]), ("test", ["--run", long]),
+        ("publish", [long, "--out", str(tmp_path / "a.safetensors")]),
+    ):  # fmt: skip
+        assert run_command(command, words) == 2, command
+        assert capsys.readouterr().err.startswith("error: ")
+    for name in ("../a", "a/b", "", "a\0b"):
+        assert run_command("train", ["--data", str(folder), f"name={json.dumps(name)}"]) == 2
+        assert "name" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("words", [["--budget", "nan"], ["--budget", "-3"], ["--budget", "x"], ["--seeds", "1,-2"]])
+def test_a_table_takes_minutes_and_seeds(words, capsys):
+    with pytest.raises(SystemExit):
+        run_command("test", ["--table", "grasp", *words])
+    assert "expected" in capsys.readouterr().err
 
 
 def test_a_run_directory_that_exists_is_left_alone(trained, folder, capsys):

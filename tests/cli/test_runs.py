@@ -132,6 +132,9 @@ def test_runs_are_listed_and_compared(tmp_path: Path, capsys: pytest.CaptureFixt
     )
     (tmp_path / "resumed" / "data.json").write_text('{"kind": "free", "split": "train", "n_labels": 9}')
     (tmp_path / "resumed" / "progress.csv").write_text(header + rows + "11,1200,60.0,0.3,-3,\n")
+    # What a power cut and an editor leave is not counted.
+    with open(tmp_path / "b" / "progress.csv", "ab") as stream:
+        stream.write(b"11,x,50.0,0.3,-3,0.7\n12,1200,\xff\xfe,0.3,-3,0.8\n\0\0\0\0")
     (tmp_path / "new").mkdir()
     (tmp_path / "new" / "config.yaml").write_text("engine: mujoco\n")
     assert main(["runs", str(tmp_path)]) == 0

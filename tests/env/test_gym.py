@@ -64,6 +64,18 @@ def test_vector_env_restarts_in_the_same_step():
     venv.close()
 
 
+def test_actions_of_another_shape_are_refused(env):
+    env.reset(seed=1)
+    for action in (np.zeros(1), np.zeros(()), np.zeros((1, 51))):
+        with pytest.raises(ValueError, match=r"expected \(51,\)"):
+            env.unwrapped.step(action)
+
+
+def test_another_pool_is_refused():
+    with pytest.raises(ConfigError, match=r"pool\.kind"):
+        gymnasium.make_vec("dgrasp/Grasp-v0", num_envs=1, pool="nope")
+
+
 def test_more_environments_than_labels_are_refused():
     with pytest.raises(ConfigError, match="one environment per label"):
         gymnasium.make_vec("dgrasp/Grasp-v0", num_envs=999, overrides=FREE)

@@ -12,7 +12,7 @@ import pytest
 
 from dgrasp import evaluate, request, train
 from dgrasp.cli import run_command
-from dgrasp.config import load_config
+from dgrasp.config import find_config, load_config
 from dgrasp.rl import checkpoint
 from dgrasp.rl.log import write_description
 from dgrasp.tables import fill as fill_module
@@ -66,10 +66,10 @@ def test_each_ingredient_of_the_recipe_is_a_row() -> None:
     (plan,) = plans("recipe")
     runs = {line.name: trial.run for line in plan.lines for trial in line.trials if trial.run is not None}
     assert len(runs) == len(plan.lines) == len({run.key for run in runs.values()}) > 10
-    base = load_config(train.find_config(Path("cfg/fast.yaml")), [])
+    base = load_config(find_config(Path("cfg/fast.yaml")), [])
     for name, run in runs.items():
         assert run.cfg is not None
-        config = load_config(train.find_config(Path(run.cfg)), run.overrides)
+        config = load_config(find_config(Path(run.cfg)), run.overrides)
         assert config.labels.objects == list(plan_module.RECIPE_OBJECTS)
         labels = config.labels.model_copy(update={"objects": base.labels.objects})
         same = config.model_copy(update={"labels": labels}) == base
@@ -118,10 +118,10 @@ def test_seeds_of_a_label_are_one_label() -> None:
 def test_an_evaluation_that_is_narrowed_does_not_compare() -> None:
     (plan,) = plans("grasp")
     trial = plan.lines[0].trials[0]
-    config = load_config(train.find_config(Path("cfg/dexycb.yaml")), [*trial.overrides, "labels.per_epoch=4"])
+    config = load_config(find_config(Path("cfg/dexycb.yaml")), [*trial.overrides, "labels.per_epoch=4"])
     assert fill_module._changed(trial, config, False) == []
     words = ["labels.limit_per_object=1", "eval.window_s=3.87", "physics.friction=0.5", "ppo.gamma=0.5"]
-    narrowed = load_config(train.find_config(Path("cfg/dexycb.yaml")), [*trial.overrides, *words])
+    narrowed = load_config(find_config(Path("cfg/dexycb.yaml")), [*trial.overrides, *words])
     assert fill_module._changed(trial, narrowed, False) == [
         "labels.limit_per_object=1", "physics.friction=0.5", "eval.window_s=3.87"
     ]  # fmt: skip
@@ -134,7 +134,7 @@ def test_what_every_row_asks_for_is_no_change() -> None:
     for plan in [*plans("all"), *plans("recipe")]:
         for trial in (trial for line in plan.lines for trial in line.trials):
             cfg = "cfg/dexycb.yaml" if trial.run is None else trial.run.cfg or "cfg/dexycb.yaml"
-            words = ["--cfg", str(train.find_config(Path(cfg))), "--baseline", "gt_pd", *trial.overrides]
+            words = ["--cfg", str(find_config(Path(cfg))), "--baseline", "gt_pd", *trial.overrides]
             config = request.config_of(fill_module._parse(words))
             assert fill_module._changed(trial, config, plan.name == "motion") == [], (plan.name, trial)
             moved = request.config_of(fill_module._parse([*words, "motion.steps=7"]))
@@ -332,7 +332,7 @@ def test_a_training_as_its_row_asks_for_differs_in_nothing(tmp_path: Path, monke
     trainings = Trainings(tmp_path, Path("cfg/dexycb.yaml"), [], None, print)
     chosen = {run.key: run for run in needed([*plans("grasp"), *plans("motion"), *plans("ablation"), *plans("recipe")])}
     for run in chosen.values():
-        recipe = train.find_config(Path(run.cfg or "cfg/dexycb.yaml"))
+        recipe = find_config(Path(run.cfg or "cfg/dexycb.yaml"))
         config = load_config(recipe, [*run.overrides, "ppo.max_minutes=1.0"])
         write_description(trainings.run_dir(run), config, {})
         assert trainings.about(run) == [f"{run.key}: 0 of {config.ppo.epochs} epochs, 0 control steps, 0.00 core-hours"]
