@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import os
 import statistics
+import sys
 import time
 from collections.abc import Callable
 from contextlib import suppress
@@ -30,6 +31,8 @@ from dgrasp.rl.vec_env import Step
 from dgrasp.types import Array
 
 _POLL_S = 0.2
+_SAY_AFTER_S = 30.0
+"""After this long a busy cluster is said to be waited for."""
 _LOSSES_IN_A_ROW = 3
 """An actor that is lost this often without a success in between will not get better."""
 _ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
@@ -161,9 +164,15 @@ class RayPool(SizedPool):
         return workers
 
     def _await_ready(self) -> None:
+        ready = [actor.process_id.remote() for actor in self._actors]
+        _, late = self._ray.wait(ready, num_returns=len(ready), timeout=_SAY_AFTER_S)
+        if late:
+            free = int(self._ray.available_resources().get("CPU", 0))
+            print(f"waiting for {len(late)} of {len(ready)} actors, which take a CPU each; the Ray cluster has {free} "
+                  "free", file=sys.stderr, flush=True)
         for w in range(self._workers):
             try:
-                self._ray.get(self._actors[w].process_id.remote())
+                self._ray.get(ready[w])
             except self._ray.exceptions.RayTaskError as error:
                 raise PoolError(f"actor {w} failed:\n{error}") from None
             except self._ray.exceptions.RayError as error:

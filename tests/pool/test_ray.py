@@ -52,8 +52,13 @@ def _collected(pool: Any, epoch: int) -> dict[str, Array]:
     return {k: v.copy() for k, v in vars(pool.collect(_actor(), epoch, 65, lambda n: None)).items()}
 
 
-def test_a_cluster_gives_what_one_process_gives(cluster: str) -> None:
+def test_a_cluster_gives_what_one_process_gives(
+    cluster: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    # Actors import for longer than that; on a busy cluster nobody is to wait without a word.
+    monkeypatch.setattr("dgrasp.pool.ray._SAY_AFTER_S", 0.0)
     serial, pool = SerialPool(make_spec(3, QUICK)), make_pool(make_spec(3, QUICK))
+    assert "waiting for 2 of 2 actors" in capsys.readouterr().err
     nodes = {ray.get(actor.process_id.remote()) for actor in pool._actors}  # type: ignore[attr-defined]
     assert len(nodes) == 2, "one actor per node, for each has one core"
     theirs, ours = _collected(serial, 5), _collected(pool, 5)
