@@ -75,6 +75,7 @@ class GraspEnv:
         self._limits = self.hand.limits.T.copy()
         self._rng: dict[int, np.random.Generator] = {}
         self.mode: Mode = "train"
+        self.restarts = True  # Whether a training episode that has ended begins anew in the same step.
         self.control = self._start_control()
         self.hold = TrainingHold(env, self.s, n)
         self.alive = np.ones(n, bool)
@@ -184,7 +185,7 @@ class GraspEnv:
             self.o.terminated |= fallen
             self.o.truncated[:] = ~self.o.terminated & (self.clock >= self.episode_steps) & self.active
             ended = fallen | self.o.truncated
-            if ended.any():
+            if self.restarts and ended.any():
                 self._restart(np.flatnonzero(ended))
         return self.o
 

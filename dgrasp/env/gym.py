@@ -20,6 +20,7 @@ from dgrasp.config_values import apply_overrides
 from dgrasp.data import resolve
 from dgrasp.errors import ConfigError
 from dgrasp.pool import PoolSpec, make_pool
+from dgrasp.pool.serial import SerialPool
 from dgrasp.types import Array, SceneState
 from dgrasp.view.frames import render_state
 
@@ -82,7 +83,9 @@ class GraspGymEnv(gymnasium.Env[Array, Array]):
             raise ConfigError(f"label {label}: there are {len(spec.labels)} labels, 0 to {len(spec.labels) - 1}")
         self._spec = replace(spec, labels=[spec.labels[label]])
         self.render_mode = render_mode
-        self._pool = make_pool(self._spec)
+        self._pool = SerialPool(self._spec)
+        # An episode that has ended stays as it is: it may still be drawn, and measured.
+        self._pool.env.restarts = False
         self.observation_space, self.action_space = _spaces(self._pool.observation_size, self._pool.action_size)
         self._episode = 0
 
@@ -93,8 +96,7 @@ class GraspGymEnv(gymnasium.Env[Array, Array]):
 
     def step(self, action: Array) -> tuple[Array, float, bool, bool, dict[str, Any]]:
         result = self._pool.step(_checked(action, self.action_space)[None])
-        ended = bool(result.terminated[0] or result.truncated[0])
-        observation = (result.final_observation if ended else result.observation)[0].copy()
+        observation = result.observation[0].copy()
         terms = dict(zip(self._pool.reward_terms, result.reward_terms[0].tolist(), strict=True))
         return (
             observation, float(result.reward[0]), bool(result.terminated[0]), bool(result.truncated[0]),

@@ -64,6 +64,19 @@ def test_vector_env_restarts_in_the_same_step():
     venv.close()
 
 
+def test_an_ended_episode_is_still_there_to_be_seen(env):
+    env.reset(seed=1)
+    bare, truncated = env.unwrapped, False
+    while not truncated:
+        before = bare.state.joints_W[0, 0].copy()
+        observation, _, terminated, truncated, _ = bare.step(np.zeros(51))
+        assert not terminated
+    # A start is centimetres away from where an approach ends.
+    assert np.linalg.norm(bare.state.joints_W[0, 0] - before) < 0.005
+    assert bare.state.episode_time[0] == 1.0
+    assert np.isfinite(observation).all()
+
+
 def test_actions_of_another_shape_are_refused(env):
     env.reset(seed=1)
     for action in (np.zeros(1), np.zeros(()), np.zeros((1, 51))):
