@@ -117,3 +117,17 @@ def test_siblings_collide_only_where_asked(world: World, tmp_path: Path) -> None
 def test_a_file_that_is_not_there_is_the_readers_error(world: World, tmp_path: Path) -> None:
     with pytest.raises(UrdfError, match="absent"):
         world.add_articulated_system(tmp_path / "absent.urdf")
+
+
+def test_a_slider_can_leave_its_limits_to_its_targets_too(world: World, tmp_path: Path) -> None:
+    file = tmp_path / "slider.urdf"
+    file.write_text(
+        '<robot name="slider"><link name="base"/><link name="cart"><inertial><mass value="1"/></inertial></link>'
+        '<joint name="z" type="prismatic"><parent link="base"/><child link="cart"/><axis xyz="0 0 1"/>'
+        '<limit lower="-0.1" upper="0.1"/></joint></robot>', encoding="utf-8",
+    )  # fmt: skip
+    world.set_gravity((0, 0, -9.81))
+    system = world.add_articulated_system(file, enforce_limits=False)
+    world.integrate(100)
+    # Semi-implicit Euler falls by g dt^2 n (n + 1) / 2.
+    assert system.generalized_coordinate[0] == pytest.approx(-9.81 * world.timestep**2 * 100 * 101 / 2, rel=1e-3)

@@ -272,20 +272,6 @@ def test_limits_can_be_left_to_the_targets(world: World, tmp_path: Path) -> None
     assert system.joint_limits.tolist() == [[-0.5, 0.5]]
 
 
-def test_a_slider_can_leave_its_limits_to_its_targets_too(world: World, tmp_path: Path) -> None:
-    file = tmp_path / "slider.urdf"
-    file.write_text(
-        '<robot name="slider"><link name="base"/><link name="cart"><inertial><mass value="1"/></inertial></link>'
-        '<joint name="z" type="prismatic"><parent link="base"/><child link="cart"/><axis xyz="0 0 1"/>'
-        '<limit lower="-0.1" upper="0.1"/></joint></robot>', encoding="utf-8",
-    )  # fmt: skip
-    world.set_gravity((0, 0, -G))
-    system = world.add_articulated_system(file, enforce_limits=False)
-    world.integrate(100)
-    # Semi-implicit Euler falls by g dt^2 n (n + 1) / 2.
-    assert system.generalized_coordinate[0] == pytest.approx(-G * DT**2 * 100 * 101 / 2, rel=1e-3)
-
-
 def test_a_joint_that_starts_beyond_its_limit_is_not_thrown(world: World, tmp_path: Path) -> None:
     system = add(world, write_chain(tmp_path / "arm.urdf", limit=0.5))
     system.set_state([1.5])
