@@ -91,17 +91,19 @@ def main(arguments: argparse.Namespace) -> int:
         output.write_json(result, arguments.json, extra)
         for suffix, write_table in BESIDE_JSON.items():
             write_table(result, arguments.json.with_suffix(suffix))
-    if any(shown is not None for shown in (arguments.report, arguments.records, arguments.gif)):
-        meshes = display_meshes(choice, spec)
-        if arguments.records is not None:
-            write_folder(arguments.records, sequences(result, records, spec, choice, meshes))
-        if arguments.report is not None:
-            write_report(arguments.report, result, records, meshes, extra)
-        if arguments.gif is not None:
-            write_gif(arguments.gif, records, meshes)
-    # Last, for who reads only its first lines closes the pipe.
-    output.print_table(result)
-    print("\n".join(lines), end="\n" if lines else "")
+    try:
+        if any(shown is not None for shown in (arguments.report, arguments.records, arguments.gif)):
+            meshes = display_meshes(choice, spec)
+            if arguments.records is not None:
+                write_folder(arguments.records, sequences(result, records, spec, choice, meshes))
+            if arguments.report is not None:
+                write_report(arguments.report, result, records, meshes, extra)
+            if arguments.gif is not None:
+                write_gif(arguments.gif, records, meshes)
+    finally:
+        # Last, for who reads only its first lines closes the pipe; and whatever became of the files.
+        output.print_table(result)
+        print("\n".join(lines), end="\n" if lines else "")
     return 0
 
 

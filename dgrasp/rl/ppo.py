@@ -153,7 +153,7 @@ class Ppo:
             return nn.utils.clip_grad_norm_(model.parameters(), limit).item()
         of_actor = nn.utils.clip_grad_norm_([*model.actor.parameters(), model.std], limit)
         of_critic = nn.utils.clip_grad_norm_(model.critic.parameters(), limit)
-        return float((of_actor.square() + of_critic.square()).sqrt())
+        return (of_actor.square() + of_critic.square()).sqrt().item()
 
     def _track_returns(self, returns: Tensor) -> None:
         """Follow mean and variance of the returns, the first epoch's at once and later ones slowly."""

@@ -28,7 +28,7 @@ Say = Callable[[str], None]
 _OF_TRAINING = ("env.", "ppo.", "labels.", "physics.", "motion.sigma_")
 """Keys that make a training another than its row's."""
 _LENGTH = ("epochs", "max_steps")
-"""Keys of `ppo` that say how long a training is; what is asked for now counts, not what was once."""
+"""Keys of `ppo` that say how long a training is; the command counts, not what a run was begun with."""
 _OF_DATA = ("kind", "hand_sha256", "labels_sha256")
 """Of a data stamp, what makes it other data: a split, other objects of it or its licence's text do not."""
 _GRASP = "grasp"

@@ -208,3 +208,27 @@ def test_separate_clipping_limits_each_gradient_by_itself() -> None:
     after = math.sqrt(sum(p.grad.square().sum().item() for p in actor))  # type: ignore[union-attr]
     critic = math.sqrt(sum(p.grad.square().sum().item() for p in model.critic.parameters()))  # type: ignore[union-attr]
     assert after == pytest.approx(small) and critic == pytest.approx(0.5, rel=1e-4)
+
+
+def test_nothing_of_the_learner_is_on_another_device(monkeypatch: pytest.MonkeyPatch) -> None:
+    # The meta device has shapes and no numbers, and refuses to be mixed with the CPU's tensors, as a GPU does.
+    item, cpu = torch.Tensor.item, torch.Tensor.cpu
+    on_meta = lambda tensor: tensor.device.type == "meta"  # noqa: E731
+    monkeypatch.setattr(torch.Tensor, "item", lambda self: 0.01 if on_meta(self) else item(self))
+    monkeypatch.setattr(torch.Tensor, "cpu", lambda self: torch.zeros(self.shape) if on_meta(self) else cpu(self))
+    recipes: list[dict[str, Any]] = [
+        {}, {"normalise_returns": True, "separate_clipping": True, "advantages_per_minibatch": True},
+    ]  # fmt: skip
+    for changes in recipes:
+        config = PpoConfig.model_validate({"hidden": [8], **changes})
+        generator = torch.Generator().manual_seed(0)
+        model = ActorCritic(5, 2, config.hidden, config.initial_std, generator, actor_size=4).to("meta")
+        t = Trajectories.allocate(12, 4, 5, 2, 1)
+        t.valid[:] = True
+        t.truncated[-1] = True
+        rollout = Rollout(torch.device("meta"))
+        rollout.load(t, model)
+        rollout.compute_returns(config.gamma, config.lam)
+        assert on_meta(rollout.advantages) and on_meta(rollout.returns)
+        assert set(Ppo(model, config).update(rollout, generator)) == set(STATISTICS)
+        assert all(on_meta(parameter) for parameter in model.parameters())
