@@ -19,7 +19,7 @@ help:
 setup: .venv/.installed
 
 demo: .venv/.installed
-	@$(PY) -m dgrasp.demo
+	@$(PY) -m dgrasp demo
 
 # One thread a process: torch's own threads in two pytest workers would fight for the cores. A file's tests stay in
 # one worker, as they share what is slow to make.

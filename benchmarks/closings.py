@@ -14,11 +14,11 @@ from pathlib import Path
 import numpy as np
 
 from dgrasp.build import build_spec
-from dgrasp.config import load_config
+from dgrasp.config.experiment import load_config
 from dgrasp.data import resolve
 from dgrasp.env.grasp_env import GraspEnv
-from dgrasp.hand.skeleton import FINGERS, KEYPOINTS, N_DOF
-from dgrasp.labels.synth_trial import outlasts_window
+from dgrasp.hand.mano.skeleton import FINGERS, KEYPOINTS, N_DOF
+from dgrasp.synthesis.trial import outlasts_window
 from dgrasp.types import Array
 
 HELD = [(0.0, 1.0), *((angle, thumb) for angle in (0.1, 0.2, 0.4, 0.8) for thumb in (0.5, 1.0, 2.0))]

@@ -16,7 +16,7 @@ from pathlib import Path
 import torch
 
 from dgrasp.build import build_pool
-from dgrasp.config import load_config
+from dgrasp.config.experiment import load_config
 from dgrasp.data import resolve
 from dgrasp.rl.runner import Runner
 

@@ -10,13 +10,13 @@ import argparse
 import time
 from collections.abc import Sequence
 
-from dgrasp.baselines import PdBaseline
 from dgrasp.build import build_spec
-from dgrasp.config import load_config
+from dgrasp.config.experiment import load_config
 from dgrasp.data import resolve
-from dgrasp.env import worlds
 from dgrasp.eval.evaluator import evaluate
+from dgrasp.methods import PdBaseline
 from dgrasp.pool import make_pool
+from dgrasp.scene import worlds
 from raisim_like.world import World, integrate
 
 

@@ -14,7 +14,7 @@ import numpy as np
 import torch
 
 from dgrasp.build import build_spec
-from dgrasp.config import load_config
+from dgrasp.config.experiment import load_config
 from dgrasp.data import resolve
 from dgrasp.pool.process import ProcessPool
 from dgrasp.pool.serial import SerialPool

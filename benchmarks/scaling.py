@@ -12,9 +12,9 @@ import time
 
 import torch
 
-from dgrasp.config import load_config
+from dgrasp.config.experiment import load_config
 from dgrasp.env.features import FeatureLayer
-from dgrasp.hand.skeleton import N_DOF
+from dgrasp.hand.mano.skeleton import N_DOF
 from dgrasp.rl.collect import Trajectories
 from dgrasp.rl.networks import ActorCritic
 from dgrasp.rl.ppo import Ppo

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from dgrasp.build import build_spec
-from dgrasp.config import Config, load_config
+from dgrasp.config.experiment import Config, load_config
 from dgrasp.data import resolve
 from dgrasp.env.grasp_env import GraspEnv
 from dgrasp.pool.base import PoolSpec

@@ -17,12 +17,12 @@ from multiprocessing.synchronize import Barrier
 from pathlib import Path
 
 from dgrasp.build import build_spec
-from dgrasp.config import load_config
+from dgrasp.config.experiment import load_config
 from dgrasp.data import resolve
 from dgrasp.env.grasp_env import GraspEnv
-from dgrasp.eval.method import Method, PolicyMethod
+from dgrasp.methods.policy import Method, PolicyMethod
 from dgrasp.pool.base import PoolSpec
-from dgrasp.rl.published import load_published_actor
+from dgrasp.rl.run.published import load_published_actor
 from dgrasp.types import Array
 
 BARE_EVERY = 10

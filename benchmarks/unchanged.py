@@ -74,7 +74,8 @@ def all_cases(reference: Path | None) -> dict[str, Case]:
             cases[f"free {what} {engine}"] = evaluation([*what.split(), "--data", "free", "--engine", engine, *FREE])
         if reference is not None:
             policy = str(reference / "policies" / "all_objs" / "full_6000.pt")
-            for what in ("--baseline gt_pd", "--baseline gt_ik", f"--policy {policy}", f"--policy {policy} --motion easy"):
+            for what in ("--baseline gt_pd", "--baseline gt_ik", f"--policy {policy}",
+                         f"--policy {policy} --motion easy"):
                 words = [*what.split(), "--data", str(reference), "--engine", engine, *REAL]
                 cases[f"real {what.replace(policy, 'published')} {engine}"] = evaluation(words)
             cases[f"train fast real {engine}"] = training(f"real-{engine}", str(reference), engine, ["cfg/fast.yaml"])
@@ -141,7 +142,7 @@ def comparable(value: Any) -> Any:
 def labels(folder: Path) -> str:
     """Labels made for one object: the hash of their arrays."""
     file = folder / "made.npz"
-    run("-m dgrasp.cli", ["labels", "make", "--objects", "004_sugar_box", "--number", "2", "--out", str(file),
+    run("-m dgrasp", ["labels", "make", "--objects", "004_sugar_box", "--number", "2", "--out", str(file),
                           "--engine", "mujoco"])
     digest = hashlib.sha256()
     with np.load(file, allow_pickle=False) as arrays:

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from dgrasp.config import find_config, load_config
+from dgrasp.config.experiment import find_config, load_config
 from dgrasp.rl.collect import Trajectories
 from dgrasp.rl.networks import ActorCritic
 from dgrasp.rl.ppo import Ppo

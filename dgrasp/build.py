@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from dgrasp.baselines.learned_motion import grasping_policy
-from dgrasp.config import Config
+from dgrasp.config.experiment import Config
 from dgrasp.data import DataChoice
 from dgrasp.errors import ConfigError
 from dgrasp.hand.model import HandModel, load_hand
+from dgrasp.methods.learned_motion import grasping_policy
 from dgrasp.objects.free import free_object
 from dgrasp.objects.model import ObjectModel
 from dgrasp.objects.release import Concave, release_object

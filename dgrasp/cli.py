@@ -12,21 +12,21 @@ from dgrasp.errors import DGraspError
 
 EXIT_BAD_INPUT, EXIT_INTERRUPTED = 2, 130
 COMMANDS = {
-    "train": "dgrasp.train",
-    "test": "dgrasp.test",
-    "demo": "dgrasp.demo",
-    "runs": "dgrasp.runs",
-    "publish": "dgrasp.publish",
-    "export": "dgrasp.export.command",
-    "view": "dgrasp.report.view_command",
-    "hand build": "dgrasp.hand.build_command",
-    "hand report": "dgrasp.hand.report_command",
-    "object add": "dgrasp.objects.add_command",
-    "labels import dexycb": "dgrasp.labels.import_dexycb",
-    "labels import ho3d": "dgrasp.labels.import_ho3d",
-    "labels import mano": "dgrasp.labels.import_mano",
-    "labels make": "dgrasp.labels.make_command",
-    "labels check": "dgrasp.labels.check",
+    "train": "dgrasp.commands.train",
+    "test": "dgrasp.commands.test",
+    "demo": "dgrasp.commands.demo",
+    "runs": "dgrasp.commands.runs",
+    "publish": "dgrasp.commands.publish",
+    "export": "dgrasp.commands.export",
+    "view": "dgrasp.commands.view",
+    "hand build": "dgrasp.commands.hand_build",
+    "hand report": "dgrasp.commands.hand_report",
+    "object add": "dgrasp.commands.object_add",
+    "labels import dexycb": "dgrasp.commands.labels_import_dexycb",
+    "labels import ho3d": "dgrasp.commands.labels_import_ho3d",
+    "labels import mano": "dgrasp.commands.labels_import_mano",
+    "labels make": "dgrasp.commands.labels_make",
+    "labels check": "dgrasp.commands.labels_check",
 }
 """Each command's module: `HELP`, `add_arguments` and `main`."""
 

@@ -11,13 +11,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
-from dgrasp.config import Config
+from dgrasp.config.experiment import Config
 from dgrasp.errors import DataError
+from dgrasp.files.paths import data_root, user_data_root
 from dgrasp.hand.store import find_hand
 from dgrasp.labels.source import RELEASE_FILES, SOURCES, SPLITS, LabelSet, load_labels, select, sha256_of
 from dgrasp.objects.names import YCB_NAMES, nearest
 from dgrasp.objects.store import StoredObject, default_store, find_object
-from dgrasp.paths import data_root, user_data_root
 
 Kind = Literal["free", "release"]
 _HAND_FILES: dict[Kind, str] = {"release": "mano_mean.urdf", "free": "free_hand.urdf"}

@@ -10,17 +10,17 @@ import re
 from pathlib import Path
 from typing import Any
 
-from dgrasp.baselines import BASELINES, TRAINED_BASELINES, method_of
-from dgrasp.baselines.static_grasp import StaticGrasp
-from dgrasp.config import Config, find_config, make_config, read_values
-from dgrasp.config_sections import SENSES
-from dgrasp.config_values import apply_overrides
+from dgrasp.config.experiment import Config, find_config, make_config, read_values
+from dgrasp.config.sections import SENSES
+from dgrasp.config.values import apply_overrides
 from dgrasp.errors import ConfigError
-from dgrasp.eval.method import Method, PolicyMethod
-from dgrasp.paths import data_root
-from dgrasp.rl import checkpoint
-from dgrasp.rl.policies import SavedPolicy, read_policy
-from dgrasp.rl.weights import SUFFIX
+from dgrasp.files.paths import data_root
+from dgrasp.methods import BASELINES, TRAINED_BASELINES, method_of
+from dgrasp.methods.policy import Method, PolicyMethod
+from dgrasp.methods.static_grasp import StaticGrasp
+from dgrasp.rl.run import checkpoint
+from dgrasp.rl.run.policies import SavedPolicy, read_policy
+from dgrasp.rl.run.weights import SUFFIX
 from dgrasp.tables.plan import NAMES
 from raisim_like.engines import ENGINES
 

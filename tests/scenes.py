@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from dgrasp.config import Config, load_config
+from dgrasp.config.experiment import Config, load_config
+from dgrasp.files.paths import data_root
+from dgrasp.hand.mano.skeleton import N_PARTS
 from dgrasp.hand.model import HandModel, load_hand
-from dgrasp.hand.skeleton import N_PARTS
 from dgrasp.objects.free import free_object
-from dgrasp.paths import data_root
 from dgrasp.pool import PoolSpec
 from dgrasp.types import GraspLabel, StartPose
 from raisim_like.rotations import matrix_from_euler, transform

@@ -6,11 +6,11 @@ from pathlib import Path
 
 import pytest
 
-from dgrasp.config import Config, config_keys, dump_config, load_config, make_config
-from dgrasp.config_sections import LabelsConfig
-from dgrasp.config_values import apply_overrides, flat_keys, parse_yaml
+from dgrasp.config.experiment import Config, config_keys, dump_config, load_config, make_config
+from dgrasp.config.sections import LabelsConfig
+from dgrasp.config.values import apply_overrides, flat_keys, parse_yaml
 from dgrasp.errors import ConfigError
-from dgrasp.paths import cfg_root
+from dgrasp.files.paths import cfg_root
 
 
 def test_every_shipped_config_is_valid_and_names_itself() -> None:

@@ -9,7 +9,7 @@ import sys
 
 import pytest
 
-from dgrasp.hand.free_hand import URDF_PATH
+from dgrasp.hand.free.hand import URDF_PATH
 from raisim_like import read_urdf
 from raisim_like.engines import ENGINES
 from tests.imports import ROOT

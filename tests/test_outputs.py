@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from dgrasp.atomic import write_atomic
 from dgrasp.errors import DataError
-from dgrasp.outputs import check_outputs
+from dgrasp.files.atomic import write_atomic
+from dgrasp.files.outputs import check_outputs
 
 
 def test_outputs_that_cannot_be_are_refused(tmp_path: Path) -> None:

@@ -113,7 +113,7 @@ def test_no_file_of_the_authors_release_is_in_the_wheel(contents: dict[str, byte
 
 def test_an_installed_package_finds_what_it_carries(installed: Path, tmp_path: Path) -> None:
     code = (
-        "import json, dgrasp.paths as p\n"
+        "import json, dgrasp.files.paths as p\n"
         "found = [p.package_file('cfg/dexycb.yaml'), p.package_file('data/free/hand/free_hand.urdf')]\n"
         "print(json.dumps([p.is_checkout(), *map(str, [p.PACKAGE, *found, p.user_data_root()])]))"
     )

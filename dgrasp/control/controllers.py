@@ -11,9 +11,9 @@ from typing import Protocol
 
 import numpy as np
 
-from dgrasp.config_sections import ActionConfig
-from dgrasp.env.features import goal_wrist_position_W
-from dgrasp.hand.skeleton import N_DOF
+from dgrasp.config.sections import ActionConfig
+from dgrasp.hand.mano.skeleton import N_DOF
+from dgrasp.scene.relations import goal_wrist_position_W
 from dgrasp.types import Array, GraspGoal, SceneState
 from raisim_like.rotations import rotate_back
 

@@ -6,9 +6,9 @@ from typing import Literal
 
 import numpy as np
 
-from dgrasp.config_sections import ActionConfig, MotionConfig
+from dgrasp.config.sections import ActionConfig, MotionConfig
 from dgrasp.control.controllers import HOLD_KP_POSITION
-from dgrasp.hand.skeleton import N_DOF
+from dgrasp.hand.mano.skeleton import N_DOF
 from dgrasp.types import Array, SceneState
 from raisim_like.rotations import (
     euler_from_matrix,

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from dgrasp.config_sections import EnvConfig, MotionConfig
+from dgrasp.config.sections import EnvConfig, MotionConfig
 from dgrasp.control.controllers import GRASP_CONTROLLERS, HOLD_KP_POSITION
 from dgrasp.control.motion import nearest_euler
-from dgrasp.hand.skeleton import N_WRIST_DOF
+from dgrasp.hand.mano.skeleton import N_WRIST_DOF
 from dgrasp.types import Array, GraspGoal, SceneState
 from raisim_like.rotations import matrix_from_euler, matrix_from_rotation_vector, rotate_back
 

@@ -8,20 +8,21 @@ from typing import Literal
 
 import numpy as np
 
-from dgrasp.config import Config
+from dgrasp.config.experiment import Config
 from dgrasp.control.controllers import GRASP_CONTROLLERS, Controller, LabelPose, WristHold
 from dgrasp.control.motion import Fingers, MotionSynthesis
-from dgrasp.env.features import FeatureLayer, Relations, relations
+from dgrasp.env.features import FeatureLayer
 from dgrasp.env.goal import make_goal
 from dgrasp.env.rewards import Reward
 from dgrasp.env.start import start_pose, taking_part, with_noise
-from dgrasp.env.state import StepArrays, state_views, take
 from dgrasp.env.training_hold import TrainingHold
-from dgrasp.env.worlds import Worlds
+from dgrasp.hand.mano.skeleton import ACTION_SIZES, N_DOF
 from dgrasp.hand.model import HandModel
-from dgrasp.hand.skeleton import ACTION_SIZES, N_DOF
 from dgrasp.objects.model import ObjectModel
+from dgrasp.scene.relations import Relations, relations
 from dgrasp.scene.scene import LOWERED_TOP, TABLE_TOP, Scene
+from dgrasp.scene.state import StepArrays, state_views, take
+from dgrasp.scene.worlds import Worlds
 from dgrasp.types import Array, GraspGoal, GraspLabel, SceneState, StartPose
 
 Mode = Literal["train", "test", "label"]
@@ -150,7 +151,8 @@ class GraspEnv:
             start = self.starts[i]
             if self.mode == "train":
                 start = with_noise(start, self.config.env.noise, self._rng[i])
-        self.worlds.place(i, start, LOWERED_TOP if self.mode == "label" else TABLE_TOP, self.control)
+        top = LOWERED_TOP if self.mode == "label" else TABLE_TOP
+        self.worlds.place(i, start, top, self.control.kp_position, self.control.carries)
         s = self.s
         s.R_WG[i], s.target_pos_W[i] = start.T_WO[:3, :3], start.T_WO[:3, 3]
         s.table_gone[i], s.holding[i], s.episode_time[i] = 0.0, 0.0, 0.0
@@ -193,7 +195,7 @@ class GraspEnv:
         """Write the PD targets of this step: the controller's bias and the residual actions."""
         if self._training_hold:
             for i in self.hold.begin(self.s, self.clock, self.active).tolist():
-                self.worlds.release(i, self.hold.control)
+                self.worlds.release(i, self.hold.control.kp_position)
         self.control.bias(self.s, self.goal, self._target)
         sigma = self.control.sigma
         if self._training_hold:
@@ -219,7 +221,7 @@ class GraspEnv:
         self.control = WristHold(self.config.env.action, self.s)
         self.s.table_gone[:] = 1.0
         for i in range(self.num_envs):
-            self.worlds.release(i, self.control)
+            self.worlds.release(i, self.control.kp_position)
 
     def begin_motion(self, path: Array, fingers: Fingers = "policy") -> None:
         """Motion synthesis begins: the wrist carries the objects along targets T_WG (N, P, 4, 4).

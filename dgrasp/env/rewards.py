@@ -7,9 +7,9 @@ from collections.abc import Callable
 
 import numpy as np
 
-from dgrasp.config_sections import RewardConfig
-from dgrasp.env.features import Relations, target_turn_W
-from dgrasp.hand.skeleton import N_KEYPOINTS, TIPS
+from dgrasp.config.sections import RewardConfig
+from dgrasp.hand.mano.skeleton import N_KEYPOINTS, TIPS
+from dgrasp.scene.relations import Relations, target_turn_W
 from dgrasp.types import Array, GraspGoal, SceneState
 
 Term = Callable[[SceneState, GraspGoal, Relations, RewardConfig], Array]

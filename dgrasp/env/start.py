@@ -6,9 +6,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from dgrasp.config_sections import NoiseConfig
-from dgrasp.hand.free_skin import rest_pose
-from dgrasp.hand.mano_model import MIRROR_ANGLES
+from dgrasp.config.sections import NoiseConfig
+from dgrasp.hand.free.skin import rest_pose
+from dgrasp.hand.mano.model import MIRROR_ANGLES
 from dgrasp.hand.model import HandModel
 from dgrasp.types import Array, GraspLabel, StartPose
 from raisim_like.rotations import matrix_from_euler

@@ -9,11 +9,12 @@ import numpy as np
 from dgrasp.control.controllers import HOLD_KP_POSITION, Controller
 from dgrasp.control.motion import Fingers
 from dgrasp.control.wrist import WholeHand, move_wrist
-from dgrasp.env.features import FeatureLayer, relations
+from dgrasp.env.features import FeatureLayer
 from dgrasp.env.grasp_env import GraspEnv, Mode, Seen
-from dgrasp.hand.skeleton import N_DOF, N_WRIST_DOF
+from dgrasp.hand.mano.skeleton import N_DOF, N_WRIST_DOF
 from dgrasp.motion.targets import training_target
 from dgrasp.rl.collect import Actor
+from dgrasp.scene.relations import relations
 from dgrasp.types import Array
 
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from dgrasp.config_sections import EnvConfig
+from dgrasp.config.sections import EnvConfig
 from dgrasp.control.controllers import WristHold
-from dgrasp.hand.skeleton import N_DOF
+from dgrasp.hand.mano.skeleton import N_DOF
 from dgrasp.types import Array, GraspGoal, SceneState
 
 

@@ -8,8 +8,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from dgrasp.config import Config
-from dgrasp.eval.method import Method
+from dgrasp.config.experiment import Config
+from dgrasp.methods.policy import Method
 from dgrasp.pool import Pool, PoolSpec, WorkerLost, make_pool
 from dgrasp.types import Array, EpisodeRecord
 from raisim_like.rotations import transform

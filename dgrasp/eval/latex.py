@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from dgrasp.atomic import write_atomic
 from dgrasp.eval.output import remarks, title
 from dgrasp.eval.summary import Result
+from dgrasp.files.atomic import write_atomic
 
 _COLUMNS = {
     "success": (r"Success $\uparrow$", "{:.2f}"),

@@ -6,7 +6,7 @@ import os
 from collections.abc import Mapping
 from pathlib import Path
 
-from dgrasp.config import Config
+from dgrasp.config.experiment import Config
 from dgrasp.data import DataChoice
 from dgrasp.eval.interpenetration import Interpenetration
 from dgrasp.hand.model import HandModel

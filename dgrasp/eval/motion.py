@@ -11,10 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from dgrasp.baselines.flat_rl import FlatRl
-from dgrasp.baselines.learned_motion import LearnedMotion
-from dgrasp.baselines.static_grasp import StaticGrasp
-from dgrasp.config import Config
+from dgrasp.config.experiment import Config
 from dgrasp.data import DataChoice
 from dgrasp.errors import ConfigError, DataError
 from dgrasp.eval import metrics
@@ -29,8 +26,11 @@ from dgrasp.eval.evaluator import (
     shifted,
     summed,
 )
-from dgrasp.eval.method import FrozenGrasp, Method, PolicyMethod
 from dgrasp.eval.summary import Result, Row, summarise
+from dgrasp.methods.flat_rl import FlatRl
+from dgrasp.methods.learned_motion import LearnedMotion
+from dgrasp.methods.policy import FrozenGrasp, Method, PolicyMethod
+from dgrasp.methods.static_grasp import StaticGrasp
 from dgrasp.motion.files import read_targets
 from dgrasp.motion.paths import PATHS
 from dgrasp.motion.targets import EASY_FILE, OWN_SETS, TargetSet, draw_targets, easy_targets

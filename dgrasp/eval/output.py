@@ -14,8 +14,8 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from dgrasp.atomic import write_atomic
 from dgrasp.eval.summary import Result
+from dgrasp.files.atomic import write_atomic
 
 NOT_COMPARABLE = "own hand and labels: not comparable with the paper"
 NO_COLUMN = "the paper has no numbers for this method on these labels"

@@ -14,7 +14,7 @@ from dgrasp.errors import DataError
 from dgrasp.eval import failures, metrics
 from dgrasp.eval.intervals import intervals
 from dgrasp.eval.paper import Column, motion_column, paper_column
-from dgrasp.paths import is_checkout, shipped_root
+from dgrasp.files.paths import is_checkout, shipped_root
 from dgrasp.types import EpisodeRecord
 
 SCHEMA = 1

@@ -11,8 +11,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from dgrasp.export.sequence import StoredSequence
-from dgrasp.hand.mano_pose import mano_pose
-from dgrasp.hand.skeleton import DOF_NAMES, KEYPOINTS, PARTS
+from dgrasp.hand.mano.pose import mano_pose
+from dgrasp.hand.mano.skeleton import DOF_NAMES, KEYPOINTS, PARTS
 from dgrasp.hand.surface import mano_of_hand
 from dgrasp.types import Array
 from dgrasp.view.meshes import table_tops

@@ -7,12 +7,12 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from dgrasp.config import Config
+from dgrasp.config.experiment import Config
 from dgrasp.data import DataChoice
 from dgrasp.eval.meshes import build_bodies
 from dgrasp.eval.summary import Result
 from dgrasp.export.sequence import StoredSequence
-from dgrasp.hand.free_skin import SKIN_FILE
+from dgrasp.hand.free.skin import SKIN_FILE
 from dgrasp.hand.model import HandModel
 from dgrasp.hand.store import built_hand, is_built_hand
 from dgrasp.hand.surface import mano_of_hand

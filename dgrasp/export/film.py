@@ -11,8 +11,8 @@ import numpy as np
 
 from dgrasp.errors import ConfigError, DataError
 from dgrasp.export.sequence import StoredSequence
-from dgrasp.hand.build import write_obj
-from dgrasp.hand.segment import PartMesh
+from dgrasp.geometry.part_mesh import PartMesh
+from dgrasp.hand.build.build import write_obj
 from dgrasp.scene.scene import LOWERED_TOP, TABLE_SIZE, TABLE_TOP, TABLE_XY
 from dgrasp.types import Array, EpisodeRecord
 from dgrasp.view.camera import eye, viewpoint

@@ -22,10 +22,10 @@ from typing import Any
 
 import numpy as np
 
-from dgrasp.atomic import write_atomic
 from dgrasp.errors import DataError
 from dgrasp.eval.failures import KINDS
-from dgrasp.labels.npz_reader import open_npz
+from dgrasp.files.atomic import write_atomic
+from dgrasp.files.npz import open_npz
 from dgrasp.types import Array, EpisodeRecord, GraspLabel
 from dgrasp.view.meshes import BODIES, DisplayMeshes, Mesh
 

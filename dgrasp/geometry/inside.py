@@ -29,7 +29,7 @@ def inside_shape(shape: Shape, points: Array) -> Array:
         return np.asarray(across + np.maximum(along - length / 2, 0.0) ** 2 <= radius**2)
     if shape.file is None:
         raise ValueError(f"a shape of kind {shape.kind!r} needs a file")
-    from dgrasp.objects.inertia import load_mesh
+    from dgrasp.geometry.inertia import load_mesh
 
     return inside_hull(np.asarray(load_mesh(shape.file).vertices), local)
 
@@ -97,7 +97,7 @@ def shape_bounds(shape: Shape) -> tuple[Array, Array]:
     """Lower and upper corner (3,) of a box around the shape, in the frame of its body."""
     R = matrix_from_quaternion(np.array(shape.quaternion))
     if shape.kind in ("hull", "mesh"):
-        from dgrasp.objects.inertia import load_mesh
+        from dgrasp.geometry.inertia import load_mesh
 
         assert shape.file is not None
         placed = np.asarray(load_mesh(shape.file).vertices) @ R.T + np.array(shape.position)

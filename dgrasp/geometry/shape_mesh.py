@@ -37,7 +37,7 @@ def shape_mesh(shape: Shape) -> tuple[Array, Array]:
     else:
         if shape.file is None:
             raise ValueError(f"a shape of kind {shape.kind!r} needs a file")
-        from dgrasp.objects.inertia import load_mesh
+        from dgrasp.geometry.inertia import load_mesh
 
         mesh = load_mesh(shape.file)
         mesh = mesh.convex_hull if shape.kind == "hull" else mesh

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from dgrasp.hand.mano.skeleton import N_DOF, N_KEYPOINTS, N_PARTS, PART_PARENT
 from dgrasp.hand.model import HandModel
-from dgrasp.hand.skeleton import N_DOF, N_KEYPOINTS, N_PARTS, PART_PARENT
 from dgrasp.types import Array
 from raisim_like.rotations import matrix_from_euler
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from dgrasp.errors import DataError
-from dgrasp.hand.skeleton import N_DOF, N_PARTS, PART_PARENT
+from dgrasp.hand.mano.skeleton import N_DOF, N_PARTS, PART_PARENT
 from dgrasp.types import Array
 from raisim_like.errors import UrdfError
 from raisim_like.rotations import matrix_from_euler

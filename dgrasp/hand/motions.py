@@ -11,10 +11,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dgrasp.hand.free_anatomy import anatomical_axes
-from dgrasp.hand.mano_model import MIRROR, MIRROR_ANGLES, Side
+from dgrasp.hand.free.anatomy import anatomical_axes
+from dgrasp.hand.mano.model import MIRROR, MIRROR_ANGLES, Side
+from dgrasp.hand.mano.skeleton import FINGERS, N_FINGER_DOF, PART_PARENT
 from dgrasp.hand.model import HandModel
-from dgrasp.hand.skeleton import FINGERS, N_FINGER_DOF, PART_PARENT
 from dgrasp.types import Array
 
 _FINGER_MOTIONS = (("spread", 0, 1), ("proximal", 0, 2), ("middle", 1, 2), ("distal", 2, 2))

@@ -14,10 +14,10 @@ from pathlib import Path
 from typing import Any
 
 from dgrasp.errors import DataError
-from dgrasp.hand.free_skin import HAND_NAME as FREE_HAND
+from dgrasp.files.paths import data_root
+from dgrasp.hand.free.skin import HAND_NAME as FREE_HAND
+from dgrasp.hand.mano.skeleton import PARTS
 from dgrasp.hand.model import HandModel, load_hand
-from dgrasp.hand.skeleton import PARTS
-from dgrasp.paths import data_root
 from raisim_like.errors import UrdfError
 from raisim_like.urdf import read_urdf
 

@@ -11,14 +11,14 @@ import numpy as np
 from dgrasp.errors import DataError
 from dgrasp.geometry.intersection import Body, body
 from dgrasp.geometry.shape_mesh import shape_mesh
-from dgrasp.hand.free_skin import HAND_NAME, SKIN_FILE, free_skin
-from dgrasp.hand.mano import read_mano
-from dgrasp.hand.mano_model import ManoModel, mirror_mano
+from dgrasp.hand.build.segment import segment
+from dgrasp.hand.free.skin import HAND_NAME, SKIN_FILE, free_skin
+from dgrasp.hand.mano.file import read_mano
+from dgrasp.hand.mano.model import ManoModel, mirror_mano
+from dgrasp.hand.mano.skeleton import N_PARTS, PART_PARENT
+from dgrasp.hand.mano.skinning import numpy_skin
 from dgrasp.hand.model import HandModel
-from dgrasp.hand.segment import segment
-from dgrasp.hand.skeleton import N_PARTS, PART_PARENT
-from dgrasp.hand.skinning import numpy_skin
-from dgrasp.labels.distance import part_poses
+from dgrasp.hand.spheres import part_poses
 from dgrasp.types import Array
 from raisim_like.rotations import matrix_from_euler, transform
 from raisim_like.shapes import Shape

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from dgrasp.errors import DataError
-from dgrasp.labels import official
-from dgrasp.labels.native import read_native_with_meta
+from dgrasp.labels.formats import official
+from dgrasp.labels.formats.native import read_native_with_meta
 from dgrasp.labels.splits import object_set
 from dgrasp.objects.names import nearest, resolve_object
 from dgrasp.types import GraspLabel

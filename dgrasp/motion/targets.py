@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from dgrasp.errors import DataError
-from dgrasp.labels.joblib_reader import read_joblib_arrays
+from dgrasp.files.joblib import read_joblib_arrays
 from dgrasp.types import Array, GraspLabel
 from raisim_like.rotations import matrix_from_euler, matrix_from_rotation_vector, transform
 

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
+from dgrasp.geometry.inertia import check_size
 from dgrasp.geometry.intersection import Body, body
 from dgrasp.geometry.shape_mesh import shape_mesh, shapes_vertices
-from dgrasp.objects.inertia import check_size
 from dgrasp.objects.model import ObjectModel
 from dgrasp.types import Array
 from raisim_like.shapes import Shape

@@ -14,10 +14,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from dgrasp.files.paths import data_root
 from dgrasp.objects.catalogue import CATALOGUE, MassSet, catalogue_object
-from dgrasp.objects.inertia import object_model
-from dgrasp.objects.model import ObjectModel
-from dgrasp.paths import data_root
+from dgrasp.objects.model import ObjectModel, object_model
 from dgrasp.types import Array
 from raisim_like.rotations import matrix_from_quaternion, quaternion_from_matrix
 from raisim_like.shapes import Shape

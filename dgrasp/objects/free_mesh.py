@@ -15,12 +15,12 @@ from typing import Any
 
 import numpy as np
 
-from dgrasp.atomic import write_atomic
 from dgrasp.errors import DGraspError
+from dgrasp.files.atomic import write_atomic
 from dgrasp.geometry.closing import close_mesh
+from dgrasp.geometry.solids import block, lofted, plate, rounded, smooth, swept, turned
+from dgrasp.objects.add.parts import obj_text
 from dgrasp.objects.catalogue import CATALOGUE, catalogue_object
-from dgrasp.objects.parts import obj_text
-from dgrasp.objects.solids import block, lofted, plate, rounded, smooth, swept, turned
 from dgrasp.types import Array
 
 _COARSE = 5e-5

@@ -9,10 +9,10 @@ from typing import Literal
 import numpy as np
 
 from dgrasp.errors import DataError
+from dgrasp.geometry.inertia import check_size, load_mesh
+from dgrasp.objects.add.parts import convex_parts
 from dgrasp.objects.catalogue import MassSet, catalogue_object
-from dgrasp.objects.inertia import check_size, load_mesh, object_model
-from dgrasp.objects.model import ObjectModel
-from dgrasp.objects.parts import convex_parts
+from dgrasp.objects.model import ObjectModel, object_model
 
 Concave = Literal["auto", "mesh", "parts"]
 

@@ -19,10 +19,10 @@ from typing import Any, cast
 import numpy as np
 
 from dgrasp.errors import DataError
+from dgrasp.files.paths import user_data_root
+from dgrasp.objects.add.parts import convex_parts
 from dgrasp.objects.model import ObjectModel
 from dgrasp.objects.names import YCB_NAMES, nearest
-from dgrasp.objects.parts import convex_parts
-from dgrasp.paths import user_data_root
 from dgrasp.types import Array
 from raisim_like.shapes import Kind, Shape
 

@@ -6,19 +6,19 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
-from dgrasp.config import Config
+from dgrasp.config.experiment import Config
 from dgrasp.control.motion import Fingers
 from dgrasp.env.features import FeatureLayer
 from dgrasp.env.grasp_env import GraspEnv, Mode
 from dgrasp.env.rewards import Reward
-from dgrasp.env.state import StepArrays
 from dgrasp.env.target_env import FlatEnv, MotionEnv
 from dgrasp.errors import DGraspError
+from dgrasp.hand.mano.skeleton import ACTION_SIZES
 from dgrasp.hand.model import HandModel
-from dgrasp.hand.skeleton import ACTION_SIZES
 from dgrasp.objects.model import ObjectModel
 from dgrasp.rl.collect import Actor, Incident
 from dgrasp.rl.vec_env import Step, VecEnv
+from dgrasp.scene.state import StepArrays
 from dgrasp.types import Array, GraspLabel, SceneState
 
 

@@ -22,12 +22,12 @@ import numpy as np
 
 from dgrasp.control.motion import Fingers
 from dgrasp.env.grasp_env import Mode
-from dgrasp.env.state import STATE_SIZE, StepArrays, copy_state, state_views
 from dgrasp.errors import ConfigError
 from dgrasp.pool.base import PoolError, PoolSpec, SizedPool, WorkerLost, as_step, make_env
 from dgrasp.pool.worker import Told
 from dgrasp.rl.collect import Actor, Incident, Trajectories, collect
 from dgrasp.rl.vec_env import Step
+from dgrasp.scene.state import STATE_SIZE, StepArrays, copy_state, state_views
 from dgrasp.types import Array
 
 _POLL_S = 0.2

@@ -14,9 +14,9 @@ import numpy as np
 
 from dgrasp.control.motion import Fingers
 from dgrasp.env.grasp_env import GraspEnv, Mode
-from dgrasp.env.state import STATE_SIZE, StepArrays, copy_state, state_views
 from dgrasp.pool.base import PoolSpec, make_env
 from dgrasp.rl.collect import Actor, Incident, Trajectories, collect
+from dgrasp.scene.state import STATE_SIZE, StepArrays, copy_state, state_views
 from dgrasp.types import Array, SceneState
 
 OK, FAILED = b"k", b"e"

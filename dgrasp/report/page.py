@@ -9,10 +9,10 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
-from dgrasp.atomic import write_atomic
 from dgrasp.eval import failures, output
 from dgrasp.eval.latex import latex_text
 from dgrasp.eval.summary import Result
+from dgrasp.files.atomic import write_atomic
 from dgrasp.report import charts, replay
 from dgrasp.types import EpisodeRecord
 from dgrasp.view.meshes import DisplayMeshes

@@ -7,7 +7,7 @@ import math
 import torch
 from torch import Tensor, nn
 
-from dgrasp.config_sections import PpoConfig
+from dgrasp.config.sections import PpoConfig
 from dgrasp.errors import DataError
 from dgrasp.rl.networks import ActorCritic
 from dgrasp.rl.storage import Minibatch, Rollout

@@ -13,16 +13,16 @@ import numpy as np
 import torch
 
 from dgrasp import __version__
-from dgrasp.config import Config
-from dgrasp.config_values import flat_keys
+from dgrasp.config.experiment import Config
+from dgrasp.config.values import flat_keys
 from dgrasp.errors import ConfigError, DGraspError
-from dgrasp.rl import checkpoint as checkpoints
-from dgrasp.rl.checkpoint import Checkpoint
-from dgrasp.rl.interrupts import Preempted, interruptible, uninterruptible
-from dgrasp.rl.lock import only_run
-from dgrasp.rl.log import RETURN, STEPS_PER_SECOND, SUCCESS, TERMINATED, TRUNCATED, UPDATE_SHARE, Log, steps_made
 from dgrasp.rl.networks import ActorCritic, Policy
 from dgrasp.rl.ppo import Ppo
+from dgrasp.rl.run import checkpoint as checkpoints
+from dgrasp.rl.run.checkpoint import Checkpoint
+from dgrasp.rl.run.interrupts import Preempted, interruptible, uninterruptible
+from dgrasp.rl.run.lock import only_run
+from dgrasp.rl.run.log import RETURN, STEPS_PER_SECOND, SUCCESS, TERMINATED, TRUNCATED, UPDATE_SHARE, Log, steps_made
 from dgrasp.rl.storage import Rollout
 from dgrasp.rl.vec_env import VecEnv
 

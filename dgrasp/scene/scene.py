@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from dgrasp.config_sections import ActionConfig, PhysicsConfig
+from dgrasp.config.sections import ActionConfig, PhysicsConfig
+from dgrasp.hand.mano.skeleton import N_DOF
 from dgrasp.hand.model import HandModel
-from dgrasp.hand.skeleton import N_DOF
 from dgrasp.objects.model import ObjectModel
 from dgrasp.types import Array
 from raisim_like.rotations import quaternion_from_matrix

@@ -13,16 +13,17 @@ from typing import Any
 
 import numpy as np
 
-from dgrasp import evaluate, request
-from dgrasp.atomic import write_atomic
-from dgrasp.config import Config, find_config, load_config
-from dgrasp.config_values import flat_keys
+from dgrasp import evaluation as evaluate
+from dgrasp import request
+from dgrasp.config.experiment import Config, find_config, load_config
+from dgrasp.config.values import flat_keys
 from dgrasp.data import DataChoice, resolve
 from dgrasp.errors import DataError, DGraspError
 from dgrasp.eval.motion import usual_set
 from dgrasp.eval.summary import Result, Row, is_metric, summarise
+from dgrasp.files.atomic import write_atomic
+from dgrasp.files.paths import cfg_root
 from dgrasp.labels.source import sha256_of
-from dgrasp.paths import cfg_root
 from dgrasp.tables.plan import Line, Plan, Trial
 from dgrasp.tables.trainings import Say, Trainings
 

@@ -12,7 +12,7 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
-from dgrasp.atomic import write_atomic
+from dgrasp.files.atomic import write_atomic
 from dgrasp.tables.fill import Cells
 from dgrasp.tables.plan import Plan
 

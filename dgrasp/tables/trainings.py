@@ -12,16 +12,16 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from dgrasp import train
-from dgrasp.atomic import write_atomic
 from dgrasp.build import frozen_policy
-from dgrasp.config import Config, find_config, load_config
-from dgrasp.config_values import flat_keys
+from dgrasp.commands import train
+from dgrasp.commands.runs import Run, read_run
+from dgrasp.config.experiment import Config, find_config, load_config
+from dgrasp.config.values import flat_keys
 from dgrasp.data import resolve
 from dgrasp.errors import DataError, DGraspError
-from dgrasp.paths import cfg_root
-from dgrasp.rl import checkpoint
-from dgrasp.runs import Run, read_run
+from dgrasp.files.atomic import write_atomic
+from dgrasp.files.paths import cfg_root
+from dgrasp.rl.run import checkpoint
 from dgrasp.tables.plan import ALL_OBJECTS, FAST, Plan, Trained, plans
 
 Say = Callable[[str], None]

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 from PIL import Image
 
-from dgrasp.config_sections import PhysicsConfig
+from dgrasp.config.sections import PhysicsConfig
 from dgrasp.hand.model import HandModel
 from dgrasp.objects.model import ObjectModel
 from dgrasp.pool.base import PoolSpec

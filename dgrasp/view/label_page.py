@@ -10,9 +10,9 @@ from collections.abc import Iterable, Mapping, Sequence
 import numpy as np
 from PIL import Image
 
-from dgrasp.config_sections import PhysicsConfig
+from dgrasp.config.sections import PhysicsConfig
 from dgrasp.hand.model import HandModel
-from dgrasp.labels.measure import Finding
+from dgrasp.labels.quality.measure import Finding
 from dgrasp.objects.model import ObjectModel
 from dgrasp.scene.scene import TABLE_TOP, Scene
 from dgrasp.types import Array, GraspLabel

@@ -8,10 +8,10 @@ from typing import NamedTuple
 import numpy as np
 
 from dgrasp.geometry.intersection import Body, join
+from dgrasp.hand.mano.skeleton import N_PARTS, PARTS
 from dgrasp.hand.model import HandModel
-from dgrasp.hand.skeleton import N_PARTS, PARTS
+from dgrasp.hand.spheres import part_poses
 from dgrasp.hand.surface import rigid_surface
-from dgrasp.labels.distance import part_poses
 from dgrasp.types import Array, EpisodeRecord
 from raisim_like.rotations import quaternion_from_matrix
 

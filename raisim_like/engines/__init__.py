@@ -15,7 +15,7 @@ ENGINES = ("pybullet", "mujoco")
 def make_engine(name: str) -> Engine:
     """The engine of that name; raises `EngineError` with the valid names."""
     if name == "pybullet":
-        from raisim_like.engines.bullet import BulletEngine
+        from raisim_like.engines.bullet.world import BulletEngine
 
         return BulletEngine()
     if name == "mujoco":
@@ -26,7 +26,7 @@ def make_engine(name: str) -> Engine:
                 "the MuJoCo engine needs the package mujoco, which is not installed; run: "
                 "pip install 'mujoco>=3.17,<4' (the extra dgrasp[mujoco] is the same), or choose the engine pybullet"
             ) from None
-        from raisim_like.engines.mujoco import MujocoEngine
+        from raisim_like.engines.mujoco.world import MujocoEngine
 
         return MujocoEngine()
     raise EngineError(f"unknown engine {name!r}; expected one of {', '.join(ENGINES)}")

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from raisim_like.engines.bullet import BulletWorld
+from raisim_like.engines.bullet.world import BulletWorld
 from raisim_like.engines.protocol import Array, EngineWorld
 from raisim_like.shapes import Shape
 from raisim_like.urdf import UrdfModel

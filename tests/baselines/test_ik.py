@@ -5,11 +5,11 @@ import dataclasses
 import numpy as np
 import pytest
 
-from dgrasp.baselines import BASELINES, IkBaseline
-from dgrasp.baselines.ik import closest_points, contact_keypoints, correct_labels
 from dgrasp.env.goal import make_goal
 from dgrasp.geometry.intersection import Body, body
-from dgrasp.hand.skeleton import KEYPOINTS, PARTS
+from dgrasp.hand.mano.skeleton import KEYPOINTS, PARTS
+from dgrasp.methods import BASELINES, IkBaseline
+from dgrasp.methods.ik import closest_points, contact_keypoints, correct_labels
 from dgrasp.types import GraspLabel
 from raisim_like.rotations import matrix_from_euler, transform
 from tests.geometry.solids import box

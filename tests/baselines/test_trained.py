@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 import torch
 
-from dgrasp.baselines import method_of
-from dgrasp.baselines.flat_rl import FlatRl
-from dgrasp.baselines.learned_motion import LearnedMotion, grasping_policy
-from dgrasp.config import load_config
+from dgrasp.config.experiment import load_config
 from dgrasp.errors import ConfigError, DataError
-from dgrasp.eval.method import FrozenGrasp, PolicyMethod
 from dgrasp.eval.paper import MOTION_OBJECTS, motion_column
+from dgrasp.methods import method_of
+from dgrasp.methods.flat_rl import FlatRl
+from dgrasp.methods.learned_motion import LearnedMotion, grasping_policy
+from dgrasp.methods.policy import FrozenGrasp, PolicyMethod
 from dgrasp.rl.networks import ActorCritic, Policy
-from dgrasp.rl.policies import SavedPolicy
+from dgrasp.rl.run.policies import SavedPolicy
 from tests.reference import reference_or_skip
 
 

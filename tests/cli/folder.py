@@ -5,8 +5,8 @@ from __future__ import annotations
 import shutil
 from pathlib import Path
 
-from dgrasp.labels.native import write_native
-from dgrasp.paths import data_root
+from dgrasp.files.paths import data_root
+from dgrasp.labels.formats.native import write_native
 from dgrasp.types import GraspLabel
 from tests.scenes import free_hand, make_label
 

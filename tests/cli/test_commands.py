@@ -16,14 +16,14 @@ import pytest
 import torch
 
 from dgrasp.cli import main, run_command
-from dgrasp.config import load_config, make_config
+from dgrasp.commands.test import write_gif
+from dgrasp.commands.train import _gif, next_run, start_run
+from dgrasp.config.experiment import load_config, make_config
 from dgrasp.data import resolve
 from dgrasp.errors import ConfigError, DataError
-from dgrasp.paths import shipped_root
-from dgrasp.rl import checkpoint
+from dgrasp.files.paths import shipped_root
 from dgrasp.rl.ppo import Ppo
-from dgrasp.test import write_gif
-from dgrasp.train import _gif, next_run, start_run
+from dgrasp.rl.run import checkpoint
 from tests.cli.folder import make_folder
 
 SHORT = [

@@ -8,13 +8,13 @@ from pathlib import Path
 import pytest
 import torch
 
-from dgrasp import demo
 from dgrasp.cli import run_command
-from dgrasp.config import load_config
-from dgrasp.paths import package_file
-from dgrasp.rl.checkpoint import Checkpoint
+from dgrasp.commands import demo
+from dgrasp.config.experiment import load_config
+from dgrasp.files.paths import package_file
 from dgrasp.rl.networks import ActorCritic
-from dgrasp.rl.weights import write_weights
+from dgrasp.rl.run.checkpoint import Checkpoint
+from dgrasp.rl.run.weights import write_weights
 from tests.tables.test_tables import SHORT
 
 

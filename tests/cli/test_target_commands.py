@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from dgrasp.cli import run_command
-from dgrasp.rl.checkpoint import latest
+from dgrasp.rl.run.checkpoint import latest
 from tests.cli.folder import make_folder
 
 SHORT = ["env.episode_steps=6", "env.grasp_steps=3", "eval.window_s=0.1", "motion.steps=3", "pool.kind=serial",

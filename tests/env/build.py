@@ -9,14 +9,15 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from dgrasp.config import Config, load_config
-from dgrasp.env.features import FeatureLayer, relations
+from dgrasp.config.experiment import Config, load_config
+from dgrasp.env.features import FeatureLayer
 from dgrasp.env.goal import make_goal
 from dgrasp.env.grasp_env import GraspEnv
-from dgrasp.env.state import state_views
 from dgrasp.hand.model import HandModel
 from dgrasp.objects.free import free_object
 from dgrasp.objects.model import ObjectModel
+from dgrasp.scene.relations import relations
+from dgrasp.scene.state import state_views
 from dgrasp.types import Array, GraspGoal, GraspLabel, SceneState, StartPose
 from raisim_like.rotations import transform
 from tests import scenes

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from dgrasp.env.worlds import MAX_FALL, MAX_SPEED
 from dgrasp.scene.scene import Scene
+from dgrasp.scene.worlds import MAX_FALL, MAX_SPEED
 from dgrasp.types import Array
 from tests.env.build import actions, label, make_env
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from dgrasp.config_sections import ActionConfig
+from dgrasp.config.sections import ActionConfig
 from dgrasp.control.controllers import (
     GRASP_CONTROLLERS,
     HOLD_KP_POSITION,

@@ -7,16 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dgrasp.config_sections import EnvConfig
-from dgrasp.env.features import (
-    FEATURE_LAYERS,
-    PHI,
-    FeatureLayer,
-    features_page,
-    goal_wrist_position_W,
-    relations,
-)
+from dgrasp.config.sections import EnvConfig
+from dgrasp.env.features import FEATURE_LAYERS, PHI, FeatureLayer, features_page
 from dgrasp.env.goal import make_goal
+from dgrasp.scene.relations import goal_wrist_position_W, relations
 from dgrasp.types import Array
 from raisim_like.rotations import euler_from_matrix, transform
 from tests.env.build import (

@@ -7,13 +7,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from dgrasp.config_sections import ActionConfig, EnvConfig, RewardConfig
+from dgrasp.config.sections import ActionConfig, EnvConfig, RewardConfig
 from dgrasp.control.controllers import WristGuidance
-from dgrasp.env.features import FeatureLayer, relations
+from dgrasp.env.features import FeatureLayer
 from dgrasp.env.goal import make_goal
 from dgrasp.env.rewards import Reward
-from dgrasp.env.state import state_views
 from dgrasp.hand.model import HandModel, load_hand
+from dgrasp.scene.relations import relations
+from dgrasp.scene.state import state_views
 from dgrasp.types import GraspGoal, GraspLabel, SceneState
 from raisim_like.rotations import matrix_from_euler, matrix_from_quaternion, transform
 from tests.reference import reference_or_skip

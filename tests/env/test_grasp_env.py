@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from dgrasp.config import load_config
+from dgrasp.config.experiment import load_config
 from dgrasp.env.grasp_env import GraspEnv
 from dgrasp.scene.scene import LOWERED_TOP, TABLE_TOP, Scene
 from dgrasp.types import Array

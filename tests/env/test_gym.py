@@ -10,9 +10,9 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode
 
-from dgrasp.config import load_config
-from dgrasp.env.gym import GraspVectorEnv
+from dgrasp.config.experiment import load_config
 from dgrasp.errors import ConfigError
+from dgrasp.gym import GraspVectorEnv
 
 FREE = ["data=free", "labels.objects=[004_sugar_box]", "env.episode_steps=62"]
 

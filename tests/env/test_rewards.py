@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from dgrasp.config_sections import RewardConfig
-from dgrasp.env.features import Relations
+from dgrasp.config.sections import RewardConfig
 from dgrasp.env.rewards import TERMS, Reward, keypoint_weights
-from dgrasp.env.state import state_views
-from dgrasp.hand.skeleton import TIPS
+from dgrasp.hand.mano.skeleton import TIPS
+from dgrasp.scene.relations import Relations
+from dgrasp.scene.state import state_views
 from dgrasp.types import Array, GraspGoal, SceneState
 
 TIP_WEIGHT, JOINT_WEIGHT = 4 * 21 / 36, 21 / 36  # 16 joints and 5 tips that count 4 times: sum 36, mean 1.

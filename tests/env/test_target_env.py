@@ -6,18 +6,19 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from dgrasp.config import load_config
-from dgrasp.config_sections import EnvConfig, MotionConfig, RewardConfig
+from dgrasp.config.experiment import load_config
+from dgrasp.config.sections import EnvConfig, MotionConfig, RewardConfig
 from dgrasp.control.wrist import move_wrist
-from dgrasp.env.features import PSI, FeatureLayer, relations
+from dgrasp.env.features import PSI, FeatureLayer
 from dgrasp.env.rewards import Reward
-from dgrasp.env.state import state_views
 from dgrasp.errors import ConfigError
 from dgrasp.motion.targets import training_target
 from dgrasp.pool.base import make_env
 from dgrasp.pool.process import ProcessPool
 from dgrasp.pool.serial import SerialPool
 from dgrasp.rl.collect import Actor
+from dgrasp.scene.relations import relations
+from dgrasp.scene.state import state_views
 from dgrasp.types import Array, SceneState
 from raisim_like.rotations import rotation_vector
 from tests.env.build import goals, hand, label, moved_state, observe, random_state, yaw_and_shift

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from dgrasp.baselines import PdBaseline
 from dgrasp.eval import evaluator
 from dgrasp.eval.evaluator import UNSTABLE, evaluate, evaluate_labels
 from dgrasp.eval.metrics import success
+from dgrasp.methods import PdBaseline
 from dgrasp.pool import make_pool
 from dgrasp.pool.serial import SerialPool
 from dgrasp.types import Array

@@ -7,8 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from dgrasp.baselines.ik import correct_labels
-from dgrasp.config import load_config
+from dgrasp.config.experiment import load_config
 from dgrasp.data import resolve
 from dgrasp.errors import DataError
 from dgrasp.eval.interpenetration import Interpenetration
@@ -16,6 +15,7 @@ from dgrasp.eval.meshes import build_bodies, build_interpenetration
 from dgrasp.eval.paper import paper_column
 from dgrasp.geometry.intersection import Body, body
 from dgrasp.hand.model import load_hand
+from dgrasp.methods.ik import correct_labels
 from dgrasp.objects.body import ObjectBody
 from dgrasp.objects.free import free_object
 from dgrasp.objects.release import release_object

@@ -7,14 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dgrasp.baselines import BASELINES, PdBaseline
-from dgrasp.baselines.static_grasp import StaticGrasp
 from dgrasp.errors import ConfigError, DataError
 from dgrasp.eval import motion as experiment
 from dgrasp.eval.motion import ON_FLOOR, check_method, motion_row, run_motions, until_floor
 from dgrasp.eval.output import table_cells, title
 from dgrasp.eval.paper import MOTION_OBJECTS, motion_column
 from dgrasp.eval.summary import summarise
+from dgrasp.methods import BASELINES, PdBaseline
+from dgrasp.methods.static_grasp import StaticGrasp
 from dgrasp.motion.targets import TargetSet
 from dgrasp.types import EpisodeRecord
 from raisim_like.rotations import transform

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from dgrasp.export.sequence import StoredSequence
-from dgrasp.hand.skeleton import N_PARTS
+from dgrasp.hand.mano.skeleton import N_PARTS
 from dgrasp.types import Array, EpisodeRecord
 from dgrasp.view.meshes import DisplayMeshes, Mesh
 from raisim_like.rotations import matrix_from_euler, transform

@@ -9,14 +9,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from dgrasp.config import make_config
+from dgrasp.config.experiment import make_config
 from dgrasp.errors import DataError
 from dgrasp.export import collect
 from dgrasp.export.arrays import npz_bytes, sequence_arrays
-from dgrasp.hand.mano import read_mano
-from dgrasp.hand.mano_pose import project_pose
-from dgrasp.hand.skeleton import N_PARTS, PART_PARENT
-from dgrasp.hand.skinning import axis_angle_rotations, euler_rotations
+from dgrasp.hand.mano.file import read_mano
+from dgrasp.hand.mano.pose import project_pose
+from dgrasp.hand.mano.skeleton import N_PARTS, PART_PARENT
+from dgrasp.hand.mano.skinning import axis_angle_rotations, euler_rotations
 from dgrasp.view.meshes import DisplayMeshes
 from tests.export.sequences import STEPS, episode, sequence
 from tests.hand.mano_file import write_mano

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from dgrasp.geometry.closing import close_mesh
+from dgrasp.geometry.inertia import shape_properties
 from dgrasp.geometry.shape_mesh import shape_mesh
-from dgrasp.objects.inertia import shape_properties
 from raisim_like.shapes import Shape
 from tests.geometry.solids import box
 

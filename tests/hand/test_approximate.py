@@ -10,9 +10,9 @@ import pytest
 import trimesh
 
 from dgrasp.errors import DataError
-from dgrasp.hand.approximate import fit_box, fit_capsule, fit_hull, overlap, part_properties
-from dgrasp.hand.segment import PartMesh
-from dgrasp.hand.skeleton import PARTS
+from dgrasp.geometry.approximate import fit_box, fit_capsule, fit_hull, overlap, part_properties
+from dgrasp.geometry.part_mesh import PartMesh
+from dgrasp.hand.mano.skeleton import PARTS
 from dgrasp.hand.store import open_hand
 from raisim_like.rotations import matrix_from_quaternion
 from raisim_like.shapes import Shape

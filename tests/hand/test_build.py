@@ -12,20 +12,20 @@ import pybullet
 import pytest
 
 from dgrasp.cli import main, run_command
-from dgrasp.config import make_config
+from dgrasp.config.experiment import make_config
 from dgrasp.data import resolve
 from dgrasp.errors import DataError
-from dgrasp.hand import approximate
-from dgrasp.hand.build import DENSITY
-from dgrasp.hand.limits import label_limits
-from dgrasp.hand.mano import read_mano
-from dgrasp.hand.mano_model import MIRROR, MIRROR_ANGLES, ManoModel
-from dgrasp.hand.segment import closed_volume
-from dgrasp.hand.skeleton import DOF_NAMES, KEYPOINTS, PARTS, TIPS
-from dgrasp.hand.skinning import euler_rotations, numpy_skin
+from dgrasp.geometry import approximate
+from dgrasp.hand.build.build import DENSITY
+from dgrasp.hand.build.limits import label_limits
+from dgrasp.hand.build.segment import closed_volume
+from dgrasp.hand.mano.file import read_mano
+from dgrasp.hand.mano.model import MIRROR, MIRROR_ANGLES, ManoModel
+from dgrasp.hand.mano.skeleton import DOF_NAMES, KEYPOINTS, PARTS, TIPS
+from dgrasp.hand.mano.skinning import euler_rotations, numpy_skin
 from dgrasp.hand.store import NamedHand, built_hand, open_hand
-from dgrasp.labels.mirror import mirror_label
-from dgrasp.labels.native import write_native
+from dgrasp.labels.formats.native import write_native
+from dgrasp.labels.recorded.mirror import mirror_label
 from dgrasp.objects.free import free_object
 from dgrasp.scene.scene import Scene
 from tests.hand.mano_file import mano_arrays, write_mano

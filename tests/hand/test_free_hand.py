@@ -10,11 +10,11 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
-from dgrasp.hand.free_anatomy import BONES, HAND_BREADTH, METACARPAL_BASES, METACARPALS, RADII, knuckles
-from dgrasp.hand.free_hand import URDF_PATH, main
-from dgrasp.hand.free_skin import free_skin
-from dgrasp.hand.segment import closed_volume
-from dgrasp.hand.skeleton import DOF_NAMES, FINGERS, KEYPOINTS, PARTS, SEGMENTS
+from dgrasp.hand.build.segment import closed_volume
+from dgrasp.hand.free.anatomy import BONES, HAND_BREADTH, METACARPAL_BASES, METACARPALS, RADII, knuckles
+from dgrasp.hand.free.hand import URDF_PATH, main
+from dgrasp.hand.free.skin import free_skin
+from dgrasp.hand.mano.skeleton import DOF_NAMES, FINGERS, KEYPOINTS, PARTS, SEGMENTS
 from dgrasp.types import Array
 
 # Degrees about x, y, z in which the round ends of thumb and finger meet, other joints at zero.

@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 
 from dgrasp.geometry.intersection import body, join
-from dgrasp.hand.free_anatomy import BONES, HAND_BREADTH
-from dgrasp.hand.free_rings import CUT, INDEX_BREADTH, THUMB_BREADTH, THUMB_THICKNESS, digit
-from dgrasp.hand.free_skin import free_limits, free_skin
-from dgrasp.hand.make_skin import SHAPES, rest_joints
-from dgrasp.hand.mano_model import ManoModel
-from dgrasp.hand.mano_pose import from_pca, project_pose
-from dgrasp.hand.segment import closed_volume, segment
-from dgrasp.hand.skeleton import FINGERS, PART_PARENT, PARTS, SEGMENTS
-from dgrasp.hand.skinning import euler_rotations, numpy_skin
+from dgrasp.hand.build.segment import closed_volume, segment
+from dgrasp.hand.free.anatomy import BONES, HAND_BREADTH
+from dgrasp.hand.free.make_skin import SHAPES, rest_joints
+from dgrasp.hand.free.rings import CUT, INDEX_BREADTH, THUMB_BREADTH, THUMB_THICKNESS, digit
+from dgrasp.hand.free.skin import free_limits, free_skin
+from dgrasp.hand.mano.model import ManoModel
+from dgrasp.hand.mano.pose import from_pca, project_pose
+from dgrasp.hand.mano.skeleton import FINGERS, PART_PARENT, PARTS, SEGMENTS
+from dgrasp.hand.mano.skinning import euler_rotations, numpy_skin
 from dgrasp.types import Array
 from tests.hand.test_free_hand import PINCHES
 from tests.scenes import free_hand

@@ -11,15 +11,15 @@ import pytest
 
 from dgrasp.cli import run_command
 from dgrasp.errors import DataError
+from dgrasp.geometry import approximate
 from dgrasp.geometry.intersection import join
-from dgrasp.hand import approximate
-from dgrasp.hand.build import DENSITY
-from dgrasp.hand.free_flesh import Flesh, field, onto_surface
-from dgrasp.hand.free_skin import MEMBERS, free_skin, read_skin, skin_path
-from dgrasp.hand.limits import mirror_limits
-from dgrasp.hand.make_skin import SHAPES, main
-from dgrasp.hand.mano_model import MIRROR
-from dgrasp.hand.skeleton import PART_PARENT
+from dgrasp.hand.build.build import DENSITY
+from dgrasp.hand.build.limits import mirror_limits
+from dgrasp.hand.free.flesh import Flesh, field, onto_surface
+from dgrasp.hand.free.make_skin import SHAPES, main
+from dgrasp.hand.free.skin import MEMBERS, free_skin, read_skin, skin_path
+from dgrasp.hand.mano.model import MIRROR
+from dgrasp.hand.mano.skeleton import PART_PARENT
 from dgrasp.hand.store import open_hand
 from dgrasp.hand.surface import SKIN, hand_surface
 from tests.scenes import free_hand

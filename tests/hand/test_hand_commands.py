@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from dgrasp.cli import main
+from dgrasp.commands.hand_build import read_betas
 from dgrasp.errors import DataError
-from dgrasp.hand.build_command import read_betas
 from tests.reference import reference_or_skip
 
 

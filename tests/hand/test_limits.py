@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from dgrasp.errors import DataError
-from dgrasp.hand.free_anatomy import hand_parts
-from dgrasp.hand.limits import LABEL_SLACK, label_limits, mirror_limits, table_limits
-from dgrasp.hand.skeleton import DOF_NAMES
+from dgrasp.hand.build.limits import LABEL_SLACK, label_limits, mirror_limits, table_limits
+from dgrasp.hand.free.anatomy import hand_parts
+from dgrasp.hand.mano.skeleton import DOF_NAMES
 from dgrasp.hand.store import open_hand
 from dgrasp.labels.source import load_labels
 from dgrasp.types import Array

@@ -15,9 +15,9 @@ import numpy as np
 import pytest
 
 from dgrasp.errors import DataError
-from dgrasp.hand.mano import MAX_FILE_BYTES, read_mano
-from dgrasp.hand.mano_model import PART_TO_MANO, ManoModel, tip_vertices
-from dgrasp.hand.skeleton import PARTS
+from dgrasp.hand.mano.file import MAX_FILE_BYTES, read_mano
+from dgrasp.hand.mano.model import PART_TO_MANO, ManoModel, tip_vertices
+from dgrasp.hand.mano.skeleton import PARTS
 from dgrasp.types import Array
 from tests.hand.mano_file import Ch, Csc, Select, mano_arrays, mano_content, pickled, write_mano
 from tests.labels.test_fuzz import mutate

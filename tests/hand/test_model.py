@@ -10,10 +10,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from dgrasp.errors import DataError
-from dgrasp.hand.free_hand import URDF_PATH
+from dgrasp.files.joblib import read_joblib_arrays
+from dgrasp.hand.free.hand import URDF_PATH
+from dgrasp.hand.mano.skeleton import KEYPOINTS, PARTS
 from dgrasp.hand.model import HandModel, load_hand
-from dgrasp.hand.skeleton import KEYPOINTS, PARTS
-from dgrasp.labels.joblib_reader import read_joblib_arrays
 from dgrasp.types import Array
 from raisim_like import World
 from raisim_like.rotations import transform

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from dgrasp.hand.mano.skeleton import PARTS
 from dgrasp.hand.motions import MOTIONS, hand_motions
-from dgrasp.hand.skeleton import PARTS
 from tests.scenes import free_hand
 
 

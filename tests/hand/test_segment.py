@@ -10,10 +10,11 @@ import trimesh
 
 from dgrasp.errors import DataError
 from dgrasp.geometry.inside import box_points, inner_points, inside_shape, shape_bounds, union_volume
-from dgrasp.hand.mano import read_mano
-from dgrasp.hand.mano_model import ManoModel
-from dgrasp.hand.segment import PartMesh, closed_volume, mesh_volume, segment
-from dgrasp.hand.skeleton import PARTS
+from dgrasp.geometry.part_mesh import PartMesh, mesh_volume
+from dgrasp.hand.build.segment import closed_volume, segment
+from dgrasp.hand.mano.file import read_mano
+from dgrasp.hand.mano.model import ManoModel
+from dgrasp.hand.mano.skeleton import PARTS
 from dgrasp.types import Array
 from raisim_like.shapes import Shape
 from tests.hand.mano_file import write_mano

@@ -10,11 +10,11 @@ import torch
 from scipy.spatial.transform import Rotation
 
 from dgrasp.errors import DataError
-from dgrasp.hand.mano import read_mano
-from dgrasp.hand.mano_model import MIRROR, MIRROR_ANGLES, ManoModel, mirror_mano
-from dgrasp.hand.mano_pose import from_pca, mano_pose, project_pose, to_pca
-from dgrasp.hand.skeleton import KEYPOINTS
-from dgrasp.hand.skinning import axis_angle_rotations, euler_rotations, numpy_skin, torch_skin
+from dgrasp.hand.mano.file import read_mano
+from dgrasp.hand.mano.model import MIRROR, MIRROR_ANGLES, ManoModel, mirror_mano
+from dgrasp.hand.mano.pose import from_pca, mano_pose, project_pose, to_pca
+from dgrasp.hand.mano.skeleton import KEYPOINTS
+from dgrasp.hand.mano.skinning import axis_angle_rotations, euler_rotations, numpy_skin, torch_skin
 from dgrasp.types import Array
 from raisim_like.rotations import matrix_from_euler
 from tests.hand.mano_file import MANO_ORDER, mano_arrays, write_mano

@@ -10,16 +10,16 @@ import pytest
 
 from dgrasp.cli import run_command
 from dgrasp.errors import DataError
+from dgrasp.geometry import approximate
+from dgrasp.geometry.inertia import shape_properties
 from dgrasp.geometry.intersection import join
-from dgrasp.hand import approximate
-from dgrasp.hand.free_skin import free_skin
-from dgrasp.hand.mano import read_mano
-from dgrasp.hand.segment import closed_volume
-from dgrasp.hand.skinning import euler_rotations, numpy_skin
+from dgrasp.hand.build.segment import closed_volume
+from dgrasp.hand.free.skin import free_skin
+from dgrasp.hand.mano.file import read_mano
+from dgrasp.hand.mano.skinning import euler_rotations, numpy_skin
+from dgrasp.hand.spheres import part_poses
 from dgrasp.hand.store import NamedHand, open_hand
 from dgrasp.hand.surface import COLLISION, PART_MESHES, SKIN, RigidSurface, hand_surface, rigid_surface
-from dgrasp.labels.distance import part_poses
-from dgrasp.objects.inertia import shape_properties
 from dgrasp.types import Array
 from raisim_like.rotations import matrix_from_euler, transform
 from tests.hand.mano_file import write_mano

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from dgrasp.hand.model import HandModel
-from dgrasp.labels.distance import HandSpheres, part_poses
+from dgrasp.hand.spheres import HandSpheres, part_poses
 from dgrasp.types import Array
 from raisim_like.rotations import matrix_from_quaternion
 from raisim_like.shapes import Shape

@@ -15,8 +15,8 @@ import numpy as np
 import yaml
 from scipy.spatial.transform import Rotation
 
-from dgrasp.hand.mano import read_mano
-from dgrasp.hand.mano_model import ManoModel
+from dgrasp.hand.mano.file import read_mano
+from dgrasp.hand.mano.model import ManoModel
 from dgrasp.types import Array
 from raisim_like.rotations import transform
 from tests.hand.mano_file import mano_arrays, write_mano

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
-from dgrasp.hand.mano_model import ManoModel
-from dgrasp.hand.skeleton import N_PARTS, PART_PARENT
-from dgrasp.hand.urdf_writer import LinkPart, hand_urdf
+from dgrasp.hand.build.urdf_writer import LinkPart, hand_urdf
+from dgrasp.hand.mano.model import ManoModel
+from dgrasp.hand.mano.skeleton import N_PARTS, PART_PARENT
 from raisim_like.shapes import Shape
 
 

@@ -9,15 +9,15 @@ import numpy as np
 import pytest
 
 from dgrasp.cli import main
+from dgrasp.files.paths import data_root
 from dgrasp.geometry.intersection import Body, body
 from dgrasp.geometry.shape_mesh import shape_mesh
-from dgrasp.labels.distance import HandSpheres, part_poses
-from dgrasp.labels.measure import Finding, duplicates, measure_labels
-from dgrasp.labels.native import read_native, write_native
-from dgrasp.labels.weight import Carrying
+from dgrasp.hand.spheres import HandSpheres, part_poses
+from dgrasp.labels.formats.native import read_native, write_native
+from dgrasp.labels.quality.measure import Finding, duplicates, measure_labels
+from dgrasp.labels.quality.weight import Carrying
 from dgrasp.objects.body import object_body
 from dgrasp.objects.free import free_object
-from dgrasp.paths import data_root
 from dgrasp.types import Array, GraspLabel, StartPose
 from raisim_like.rotations import matrix_from_euler, transform
 from raisim_like.shapes import Shape

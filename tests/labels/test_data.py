@@ -10,11 +10,12 @@ from typing import Any
 
 import pytest
 
-from dgrasp import data, paths
-from dgrasp.config import Config, make_config
+from dgrasp import data
+from dgrasp.config.experiment import Config, make_config
 from dgrasp.data import resolve
 from dgrasp.errors import DataError
-from dgrasp.labels.native import write_native
+from dgrasp.files import paths
+from dgrasp.labels.formats.native import write_native
 from tests.labels.files import dexycb_content, dump, make_labels, static_content
 from tests.reference import reference_or_skip
 
@@ -212,7 +213,7 @@ def test_the_release_itself() -> None:
 
 
 def test_paths(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    package = Path(paths.__file__).parent
+    package = Path(paths.__file__).parents[1]
     assert paths.is_checkout()
     assert paths.data_root() == package.parent / "data" == paths.user_data_root()
     assert paths.cfg_root() == package.parent / "cfg"

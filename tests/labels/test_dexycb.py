@@ -9,9 +9,9 @@ import pytest
 import yaml
 
 from dgrasp.errors import DataError
-from dgrasp.labels.dexycb import Calibration, read_sequence, read_track
-from dgrasp.labels.dexycb_grasps import find_frames
-from dgrasp.labels.skips import Skip
+from dgrasp.labels.recorded.dexycb import Calibration, read_sequence, read_track
+from dgrasp.labels.recorded.dexycb_grasps import find_frames
+from dgrasp.labels.recorded.skips import Skip
 from tests.labels.mini_dexycb import FRAMES, MiniDexYcb, standard
 
 

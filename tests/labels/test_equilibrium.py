@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from dgrasp.labels.equilibrium import MAX_FORCE, holds_weight
+from dgrasp.geometry.equilibrium import MAX_FORCE, holds_weight
 
 UP = np.array([0.0, 0.0, 1.0])
 CENTER = np.zeros(3)

@@ -7,21 +7,21 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dgrasp.config import make_config
+from dgrasp.config.experiment import make_config
 from dgrasp.env.grasp_env import GraspEnv
-from dgrasp.hand.free_hand import URDF_PATH
-from dgrasp.hand.free_skin import HAND_NAME
+from dgrasp.files.paths import package_file
+from dgrasp.hand.free.hand import URDF_PATH
+from dgrasp.hand.free.skin import HAND_NAME
 from dgrasp.hand.model import HandModel, load_hand
-from dgrasp.labels.distance import HandSpheres
-from dgrasp.labels.free_rest import lowest, place_at_rest
-from dgrasp.labels.making import split
-from dgrasp.labels.native import read_native_with_meta
-from dgrasp.labels.synth_path import DRAWN_BACK, START_CLEARANCE
-from dgrasp.labels.synthesis import MAX_DEPTH, MAX_TURNED
+from dgrasp.hand.spheres import HandSpheres
+from dgrasp.labels.formats.native import read_native_with_meta
+from dgrasp.labels.recorded.making import split
 from dgrasp.objects.catalogue import CATALOGUE
 from dgrasp.objects.free import free_object
-from dgrasp.paths import package_file
+from dgrasp.scene.free_rest import lowest, place_at_rest
 from dgrasp.scene.scene import TABLE_TOP
+from dgrasp.synthesis.path import DRAWN_BACK, START_CLEARANCE
+from dgrasp.synthesis.synthesiser import MAX_DEPTH, MAX_TURNED
 from dgrasp.types import GraspLabel
 from raisim_like.shapes import Shape
 from tests.labels.distances import hand_bottom, part_distances, signed_distance

@@ -16,9 +16,9 @@ import numpy as np
 import pytest
 
 from dgrasp.errors import DataError
-from dgrasp.labels.joblib_reader import read_joblib_arrays
-from dgrasp.labels.native import read_native, write_native
-from dgrasp.labels.official import read_official
+from dgrasp.files.joblib import read_joblib_arrays
+from dgrasp.labels.formats.native import read_native, write_native
+from dgrasp.labels.formats.official import read_official
 from dgrasp.labels.source import load_labels
 from dgrasp.types import GraspLabel
 from tests.labels.files import (

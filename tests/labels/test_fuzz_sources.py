@@ -17,13 +17,13 @@ import pytest
 import yaml
 
 from dgrasp.errors import DataError
-from dgrasp.hand.mano import read_mano
-from dgrasp.labels.cache import LabelCache
-from dgrasp.labels.dexycb import Calibration, Sequence, read_sequence, read_track
-from dgrasp.labels.ho3d import read_annotation
-from dgrasp.labels.mano_table import read_mano_table
-from dgrasp.labels.skips import Skip
-from dgrasp.labels.yaml_reader import read_yaml
+from dgrasp.files.yaml import read_yaml
+from dgrasp.hand.mano.file import read_mano
+from dgrasp.labels.recorded.cache import LabelCache
+from dgrasp.labels.recorded.dexycb import Calibration, Sequence, read_sequence, read_track
+from dgrasp.labels.recorded.ho3d import read_annotation
+from dgrasp.labels.recorded.mano_table import read_mano_table
+from dgrasp.labels.recorded.skips import Skip
 from tests.hand.mano_file import pickled
 from tests.labels.files import make_labels
 from tests.labels.mini_dexycb import make_mini, mano_files, standard

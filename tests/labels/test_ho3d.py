@@ -12,11 +12,11 @@ from scipy.spatial.transform import Rotation
 
 from dgrasp.cli import main
 from dgrasp.errors import DataError
-from dgrasp.hand.skeleton import PARTS
-from dgrasp.labels.ho3d import find_frames, read_annotation
-from dgrasp.labels.mano_params import wrist_joints
-from dgrasp.labels.native import read_native_with_meta
-from dgrasp.labels.skips import Skip
+from dgrasp.hand.mano.params import wrist_joints
+from dgrasp.hand.mano.skeleton import PARTS
+from dgrasp.labels.formats.native import read_native_with_meta
+from dgrasp.labels.recorded.ho3d import find_frames, read_annotation
+from dgrasp.labels.recorded.skips import Skip
 from dgrasp.types import Array
 from tests.hand.mano_file import pickled
 from tests.labels.mini_dexycb import MiniDexYcb, make_mini

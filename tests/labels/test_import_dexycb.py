@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from dgrasp.cli import main
-from dgrasp.hand.skeleton import PARTS
-from dgrasp.labels.dexycb import find_sequences, read_sequence
-from dgrasp.labels.dexycb_grasps import split_sequences
-from dgrasp.labels.mano_params import ManoParams
-from dgrasp.labels.native import read_native, read_native_with_meta
+from dgrasp.hand.mano.params import ManoParams
+from dgrasp.hand.mano.skeleton import PARTS
+from dgrasp.labels.formats.native import read_native, read_native_with_meta
+from dgrasp.labels.recorded.dexycb import find_sequences, read_sequence
+from dgrasp.labels.recorded.dexycb_grasps import split_sequences
 from dgrasp.types import GraspLabel
 from tests.labels.mini_dexycb import FRAMES, MiniDexYcb, approach, standard
 from tests.labels.mini_hand import write_mini_hand

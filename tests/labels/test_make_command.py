@@ -7,8 +7,8 @@ from dataclasses import replace
 import pytest
 
 from dgrasp.cli import run_command
-from dgrasp.labels import make_command
-from dgrasp.labels.native import read_native_with_meta
+from dgrasp.commands import labels_make as make_command
+from dgrasp.labels.formats.native import read_native_with_meta
 from dgrasp.types import GraspLabel
 from tests.scenes import free_hand, make_label
 

@@ -13,11 +13,11 @@ from scipy.spatial.transform import Rotation
 
 from dgrasp.cli import main
 from dgrasp.errors import DataError
-from dgrasp.hand.mano_pose import to_pca
-from dgrasp.labels.conventions import CHOICES, read_grasps
-from dgrasp.labels.mano_params import ManoParams, hand_vertices, wrist_joints
-from dgrasp.labels.mano_table import read_mano_table
-from dgrasp.labels.native import read_native, read_native_with_meta
+from dgrasp.hand.mano.params import ManoParams, hand_vertices, wrist_joints
+from dgrasp.hand.mano.pose import to_pca
+from dgrasp.labels.formats.native import read_native, read_native_with_meta
+from dgrasp.labels.recorded.conventions import CHOICES, read_grasps
+from dgrasp.labels.recorded.mano_table import read_mano_table
 from dgrasp.scene.standing import PLACE_XY
 from dgrasp.types import Array
 from tests.labels.mini_dexycb import MiniDexYcb, make_mini

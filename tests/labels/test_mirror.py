@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from dgrasp.hand.mano_model import MIRROR
+from dgrasp.hand.mano.model import MIRROR
 from dgrasp.hand.model import HandModel
-from dgrasp.labels.mirror import mirror_label
+from dgrasp.labels.recorded.mirror import mirror_label
 from dgrasp.types import Array, GraspLabel, StartPose
 from raisim_like.rotations import transform
 from tests.scenes import free_hand

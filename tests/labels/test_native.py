@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from dgrasp.errors import DataError
-from dgrasp.labels.native import MAX_BYTES, read_native, read_native_with_meta, write_native
+from dgrasp.labels.formats.native import MAX_BYTES, read_native, read_native_with_meta, write_native
 from dgrasp.types import GraspLabel
 from tests.labels.files import make_labels
 

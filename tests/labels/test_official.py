@@ -10,7 +10,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from dgrasp.errors import DataError
-from dgrasp.labels.official import read_official
+from dgrasp.labels.formats.official import read_official
 from tests.labels.files import dexycb_content, dump, static_content
 
 BLEACH = "021_bleach_cleanser"

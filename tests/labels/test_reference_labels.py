@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from dgrasp.errors import DataError
-from dgrasp.labels.native import read_native, write_native
-from dgrasp.labels.official import read_official
+from dgrasp.labels.formats.native import read_native, write_native
+from dgrasp.labels.formats.official import read_official
 from dgrasp.labels.source import load_labels
 from dgrasp.objects.names import YCB_NAMES
 from dgrasp.types import GraspLabel

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from dgrasp.errors import DataError
-from dgrasp.labels.native import write_native
+from dgrasp.labels.formats.native import write_native
 from dgrasp.labels.source import LabelSet, load_labels, select
 from tests.labels.files import dexycb_content, dump, make_labels, static_content
 

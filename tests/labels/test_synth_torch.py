@@ -8,8 +8,8 @@ import pytest
 from dgrasp.geometry.distance_grid import distance_grid
 from dgrasp.geometry.intersection import body
 from dgrasp.geometry.shape_mesh import shape_mesh
-from dgrasp.labels.distance import part_poses
-from dgrasp.labels.synth_torch import ObjectField, TorchHand, tensor
+from dgrasp.hand.spheres import part_poses
+from dgrasp.synthesis.torch_hand import ObjectField, TorchHand, tensor
 from raisim_like.rotations import matrix_from_euler
 from raisim_like.shapes import Shape
 from tests.scenes import free_hand

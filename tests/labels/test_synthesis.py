@@ -11,29 +11,30 @@ import torch
 from scipy.spatial.transform import Rotation
 
 from dgrasp.cli import run_command
-from dgrasp.config import make_config
+from dgrasp.config.experiment import make_config
 from dgrasp.env.grasp_env import GraspEnv
 from dgrasp.errors import ConfigError
+from dgrasp.geometry import approximate
 from dgrasp.geometry.distance_grid import distance_grid
 from dgrasp.geometry.intersection import body
 from dgrasp.geometry.shape_mesh import shape_mesh
-from dgrasp.hand import approximate
-from dgrasp.hand.skeleton import N_PARTS
+from dgrasp.hand.mano.skeleton import N_PARTS
+from dgrasp.hand.spheres import HandSpheres, part_poses
 from dgrasp.hand.store import open_hand
-from dgrasp.labels import synth_trial, synthesis
-from dgrasp.labels.distance import HandSpheres, part_poses
-from dgrasp.labels.surfaces import Surfaces
-from dgrasp.labels.synth_energy import Grasps, energies, let_yield, optimise, residual_wrench, unnatural
-from dgrasp.labels.synth_path import free_starts
-from dgrasp.labels.synth_start import Setting, propose
-from dgrasp.labels.synth_torch import ObjectField, TorchHand, tensor
-from dgrasp.labels.synth_trial import gt_pd_holds, outlasts_window
-from dgrasp.labels.synthesis import Synthesiser, order_of_both
-from dgrasp.labels.synthesis_report import joint_distances
+from dgrasp.labels.recorded.surfaces import Surfaces
 from dgrasp.objects.free import free_object
-from dgrasp.objects.inertia import object_model
+from dgrasp.objects.model import object_model
 from dgrasp.objects.store import load_object
 from dgrasp.scene.scene import TABLE_TOP
+from dgrasp.synthesis import synthesiser as synthesis
+from dgrasp.synthesis import trial as synth_trial
+from dgrasp.synthesis.energy import Grasps, energies, let_yield, optimise, residual_wrench, unnatural
+from dgrasp.synthesis.path import free_starts
+from dgrasp.synthesis.report import joint_distances
+from dgrasp.synthesis.start import Setting, propose
+from dgrasp.synthesis.synthesiser import Synthesiser, order_of_both
+from dgrasp.synthesis.torch_hand import ObjectField, TorchHand, tensor
+from dgrasp.synthesis.trial import gt_pd_holds, outlasts_window
 from dgrasp.types import Array, GraspLabel
 from raisim_like.shapes import Shape
 from tests.labels.distances import hand_bottom, part_distances

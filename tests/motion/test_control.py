@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from dgrasp.config_sections import ActionConfig, MotionConfig
+from dgrasp.config.sections import ActionConfig, MotionConfig
 from dgrasp.control.controllers import HOLD_KP_POSITION
 from dgrasp.control.motion import MotionSynthesis, nearest_euler, wrist_target
 from dgrasp.types import Array, SceneState

@@ -11,9 +11,9 @@ import pytest
 
 from dgrasp.build import build_objects
 from dgrasp.cli import main, run_command
-from dgrasp.config import load_config
+from dgrasp.config.experiment import load_config
 from dgrasp.data import resolve
-from dgrasp.labels.native import write_native
+from dgrasp.labels.formats.native import write_native
 from dgrasp.objects.store import StoredObject
 from tests.cli.folder import make_folder
 from tests.objects.meshes import box, save

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 import trimesh
 
-from dgrasp.objects import fit
-from dgrasp.objects.fit import fit_primitive, fit_shapes, union_overlap
-from dgrasp.objects.repair import Solid, repair
+from dgrasp.objects.add import fit
+from dgrasp.objects.add.fit import fit_primitive, fit_shapes, union_overlap
+from dgrasp.objects.add.repair import Solid, repair
 from raisim_like.shapes import Shape
 from tests.objects.meshes import SIZE, box, save
 

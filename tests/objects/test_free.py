@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from dgrasp.errors import DataError
+from dgrasp.geometry.inertia import combine, shape_properties
 from dgrasp.objects.catalogue import CATALOGUE, CatalogueObject, catalogue_object
 from dgrasp.objects.free import free_object, shape_bounds
-from dgrasp.objects.inertia import combine, shape_properties
 from dgrasp.types import Array
 from raisim_like.rotations import matrix_from_quaternion
 from raisim_like.shapes import Shape

@@ -10,12 +10,12 @@ import pytest
 import trimesh
 
 from dgrasp.errors import DataError
+from dgrasp.geometry.inertia import load_mesh
 from dgrasp.geometry.intersection import body
 from dgrasp.geometry.shape_mesh import shape_mesh
 from dgrasp.objects.catalogue import CATALOGUE, CatalogueObject, catalogue_object
 from dgrasp.objects.free import free_object
 from dgrasp.objects.free_mesh import free_mesh, main
-from dgrasp.objects.inertia import load_mesh
 from tests.labels.distances import signed_distance
 
 each_object = pytest.mark.parametrize("entry", CATALOGUE, ids=lambda entry: entry.name)

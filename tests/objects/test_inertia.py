@@ -12,17 +12,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dgrasp.errors import DataError
-from dgrasp.objects.inertia import (
+from dgrasp.geometry.inertia import (
     box_properties,
     capsule_properties,
     combine,
     cylinder_properties,
     load_mesh,
     mesh_properties,
-    object_model,
     shape_properties,
     sphere_properties,
 )
+from dgrasp.objects.model import object_model
 from raisim_like.rotations import matrix_from_euler, quaternion_from_matrix
 from raisim_like.shapes import Shape
 

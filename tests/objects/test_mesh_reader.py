@@ -11,8 +11,8 @@ import pytest
 import trimesh
 
 from dgrasp.errors import DataError
-from dgrasp.objects import mesh_reader
-from dgrasp.objects.mesh_reader import read_mesh_file
+from dgrasp.objects.add import mesh_reader
+from dgrasp.objects.add.mesh_reader import read_mesh_file
 from tests.objects.meshes import SIZE, VOLUME, box, joined, plain, save
 
 

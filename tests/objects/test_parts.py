@@ -14,14 +14,14 @@ import numpy as np
 import pytest
 import trimesh
 
-from dgrasp.config import load_config
+from dgrasp.config.experiment import load_config
 from dgrasp.errors import ConfigError, DataError
+from dgrasp.files.paths import user_cache_root
+from dgrasp.geometry.inertia import load_mesh, mesh_properties
 from dgrasp.geometry.inside import inside_shape, union_volume
-from dgrasp.objects import parts
-from dgrasp.objects.inertia import load_mesh, mesh_properties
-from dgrasp.objects.parts import PartSettings, convex_parts, reduced_hull
+from dgrasp.objects.add import parts
+from dgrasp.objects.add.parts import PartSettings, convex_parts, reduced_hull
 from dgrasp.objects.release import release_object
-from dgrasp.paths import user_cache_root
 from dgrasp.types import Array
 
 EDGE = 0.04

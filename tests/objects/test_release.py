@@ -9,7 +9,7 @@ import pytest
 import trimesh
 
 from dgrasp.errors import DataError
-from dgrasp.labels.joblib_reader import read_joblib_arrays
+from dgrasp.files.joblib import read_joblib_arrays
 from dgrasp.objects.body import DETAILED_MESH, object_body
 from dgrasp.objects.catalogue import CATALOGUE, LABEL_TYPES, CatalogueObject, catalogue_object
 from dgrasp.objects.names import YCB_NAMES

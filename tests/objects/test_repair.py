@@ -7,8 +7,8 @@ import pytest
 import trimesh
 
 from dgrasp.errors import DataError
-from dgrasp.objects import rebuild
-from dgrasp.objects.repair import Solid, repair
+from dgrasp.objects.add import rebuild
+from dgrasp.objects.add.repair import Solid, repair
 from tests.objects.meshes import VOLUME, box, joined, plain
 
 

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 from dgrasp.env.grasp_env import GraspEnv
-from dgrasp.env.worlds import Worlds
 from dgrasp.pool import PoolError, WorkerLost, make_pool
 from dgrasp.pool.process import ProcessPool
 from dgrasp.pool.serial import SerialPool
 from dgrasp.rl.collect import Actor
+from dgrasp.scene.worlds import Worlds
 from tests.scenes import make_spec
 
 STEPS = 6

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from dgrasp.config import load_config
+from dgrasp.config.experiment import load_config
 from dgrasp.errors import ConfigError
 from dgrasp.pool import make_pool
 from dgrasp.pool.ray import RayPool

@@ -8,11 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dgrasp.hand.free_hand import URDF_PATH
+from dgrasp.hand.free.hand import URDF_PATH
 from dgrasp.types import Array
 from raisim_like import ArticulatedSystem, Shape, World, read_urdf
-from raisim_like.engines import bullet_mass, bullet_pd
-from raisim_like.engines.bullet_urdf import LIGHT_INERTIA, simulated_inertias
+from raisim_like.engines.bullet import mass as bullet_mass
+from raisim_like.engines.bullet import pd as bullet_pd
+from raisim_like.engines.bullet.urdf import LIGHT_INERTIA, simulated_inertias
 from tests.raisim_like.urdfs import mass_matrix, write_chain
 
 DT, G = 0.00222, 9.81

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from dgrasp.hand.free_hand import URDF_PATH
+from dgrasp.hand.free.hand import URDF_PATH
 from dgrasp.types import Array
 from raisim_like import ArticulatedSystem, RigidBody, Shape, World
 from tests.raisim_like.test_rigid_body import COM, INERTIA, TURN, wxyz

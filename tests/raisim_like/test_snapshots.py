@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dgrasp.hand.free_hand import URDF_PATH
+from dgrasp.hand.free.hand import URDF_PATH
 from raisim_like import ArticulatedSystem, EngineError, RigidBody, World, read_urdf
 from tests.raisim_like.urdfs import write_chain
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dgrasp.hand.free_hand import URDF_PATH
+from dgrasp.hand.free.hand import URDF_PATH
 from raisim_like import ArticulatedSystem, EngineError, RigidBody, Shape, UrdfModel, World, integrate, read_urdf
 from raisim_like.engines import make_engine
 from raisim_like.world import BODY, STATIC, SYSTEM, collision_mask

@@ -15,9 +15,9 @@ import pytest
 import torch
 
 from dgrasp.errors import DataError
-from dgrasp.rl import checkpoint as checkpoints
-from dgrasp.rl.checkpoint import Checkpoint
 from dgrasp.rl.networks import ActorCritic
+from dgrasp.rl.run import checkpoint as checkpoints
+from dgrasp.rl.run.checkpoint import Checkpoint
 
 
 def _model(hidden: tuple[int, ...] = (8,), seed: int = 0) -> ActorCritic:

@@ -16,9 +16,9 @@ from tensorboard.plugins.custom_scalar import layout_pb2
 
 from dgrasp.errors import DataError
 from dgrasp.rl.collect import Incident
-from dgrasp.rl.log import Log
 from dgrasp.rl.networks import Policy
-from dgrasp.rl.progress import LINE_INTERVAL_S, TrainingProgress, format_duration
+from dgrasp.rl.run.log import Log
+from dgrasp.rl.run.progress import LINE_INTERVAL_S, TrainingProgress, format_duration
 from dgrasp.rl.runner import Runner
 from tests.rl.toy import ToyEnv, toy_config
 

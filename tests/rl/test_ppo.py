@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 import torch
 
-from dgrasp.config_sections import PpoConfig
+from dgrasp.config.sections import PpoConfig
 from dgrasp.errors import DataError
 from dgrasp.rl.collect import Trajectories
 from dgrasp.rl.networks import ActorCritic

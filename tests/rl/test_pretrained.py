@@ -8,11 +8,11 @@ from pathlib import Path
 import pytest
 
 from dgrasp.cli import run_command
-from dgrasp.config import load_config
+from dgrasp.config.experiment import load_config
 from dgrasp.data import resolve
-from dgrasp.paths import data_root
+from dgrasp.files.paths import data_root
 from dgrasp.request import PRETRAINED_FILE
-from dgrasp.rl.weights import read_weights
+from dgrasp.rl.run.weights import read_weights
 
 
 def test_it_was_trained_on_the_set_that_ships() -> None:

@@ -10,7 +10,7 @@ import pytest
 import torch
 
 from dgrasp.errors import DataError
-from dgrasp.rl.published import load_published_actor
+from dgrasp.rl.run.published import load_published_actor
 from tests.reference import reference_or_skip
 
 _ACTOR = "actor_architecture_state_dict"

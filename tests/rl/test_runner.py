@@ -14,8 +14,8 @@ import torch
 
 from dgrasp.errors import ConfigError, DataError
 from dgrasp.pool.base import PoolError
-from dgrasp.rl import checkpoint as checkpoints
 from dgrasp.rl.networks import Policy
+from dgrasp.rl.run import checkpoint as checkpoints
 from dgrasp.rl.runner import Interrupted, Runner, epoch_generator
 from tests.rl.toy import ToyEnv, assert_same, last, rows_of, run, toy_config
 

@@ -6,7 +6,7 @@ import json
 from collections.abc import Callable
 from pathlib import Path
 
-from dgrasp.config import load_config
+from dgrasp.config.experiment import load_config
 from dgrasp.rl.collect import Actor, Trajectories
 from dgrasp.rl.runner import Runner
 from tests.rl.toy import ToyEnv, assert_same, last, rows_of, run, toy_config

@@ -14,12 +14,12 @@ from safetensors.torch import save_file
 
 from dgrasp import request
 from dgrasp.cli import run_command
-from dgrasp.config import Config
+from dgrasp.config.experiment import Config
 from dgrasp.errors import DataError
-from dgrasp.rl.checkpoint import Checkpoint, policy_of
 from dgrasp.rl.networks import ActorCritic
-from dgrasp.rl.policies import read_policy
-from dgrasp.rl.weights import read_weights, write_weights
+from dgrasp.rl.run.checkpoint import Checkpoint, policy_of
+from dgrasp.rl.run.policies import read_policy
+from dgrasp.rl.run.weights import read_weights, write_weights
 from tests.cli.folder import make_folder
 from tests.labels.test_fuzz import mutate
 from tests.tables.test_tables import SHORT

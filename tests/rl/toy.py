@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 import torch
 
-from dgrasp.config import Config, make_config
-from dgrasp.rl import checkpoint as checkpoints
-from dgrasp.rl.checkpoint import Checkpoint
+from dgrasp.config.experiment import Config, make_config
 from dgrasp.rl.collect import Actor, Incident, Trajectories, collect
+from dgrasp.rl.run import checkpoint as checkpoints
+from dgrasp.rl.run.checkpoint import Checkpoint
 from dgrasp.rl.runner import Evaluate, Runner
 from dgrasp.rl.vec_env import Step
 from dgrasp.types import Array

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from dgrasp.config_sections import ActionConfig, PhysicsConfig
-from dgrasp.hand.free_hand import URDF_PATH
+from dgrasp.config.sections import ActionConfig, PhysicsConfig
+from dgrasp.hand.free.hand import URDF_PATH
 from dgrasp.hand.model import HandModel, load_hand
 from dgrasp.objects.free import free_object
 from dgrasp.scene.scene import LOWERED_TOP, TABLE_SIZE, TABLE_TOP, TABLE_XY, Scene

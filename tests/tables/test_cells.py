@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from dgrasp import request
-from dgrasp.config import find_config, load_config
+from dgrasp.config.experiment import find_config, load_config
 from dgrasp.tables import fill as fill_module
 from dgrasp.tables.fill import Cells
 from dgrasp.tables.plan import plans

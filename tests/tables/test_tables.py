@@ -10,11 +10,12 @@ from typing import Any
 
 import pytest
 
-from dgrasp import evaluate, train
+from dgrasp import evaluation as evaluate
 from dgrasp.cli import run_command
-from dgrasp.config import find_config, load_config
-from dgrasp.rl import checkpoint
-from dgrasp.rl.log import write_description
+from dgrasp.commands import train
+from dgrasp.config.experiment import find_config, load_config
+from dgrasp.rl.run import checkpoint
+from dgrasp.rl.run.log import write_description
 from dgrasp.tables import plan as plan_module
 from dgrasp.tables.fill import Cells, Found, fill
 from dgrasp.tables.plan import NAMES, Line, Plan, plans

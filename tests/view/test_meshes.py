@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from dgrasp.geometry.intersection import Body, body
+from dgrasp.hand.mano.skeleton import N_PARTS
 from dgrasp.hand.model import HandModel
-from dgrasp.hand.skeleton import N_PARTS
-from dgrasp.labels.distance import part_poses
+from dgrasp.hand.spheres import part_poses
 from dgrasp.types import Array
 from dgrasp.view.camera import eye, viewpoint
 from dgrasp.view.meshes import PART_FACES, Mesh, blendable, body_poses, hand_meshes, light, merged, table_tops

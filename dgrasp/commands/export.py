@@ -1,0 +1,75 @@
+"""`dgrasp export`: stored sequences as plain arrays, animations or films."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from dgrasp.errors import ConfigError
+from dgrasp.export import arrays, film, glb
+from dgrasp.export.sequence import StoredSequence, read_sequence, sequence_files
+from dgrasp.files.atomic import write_atomic
+
+FORMATS = ("npz", "glb", "gif", "mp4")
+
+HELP = """\
+Export evaluated sequences that `test --records DIR` has stored.
+
+  npz   joint angles, wrist, object, contacts and forces of each step; MANO's parameters where the hand is MANO's
+  glb   an animation of hand, object and table for Blender, browsers and other viewers of glTF
+  gif   a film; mp4 too, with imageio-ffmpeg (pip install 'dgrasp[video]')
+
+examples:
+  dgrasp test --baseline gt_pd --records sequences
+  dgrasp export sequences/004_sugar_box_0003.npz --format glb --out sugar_box.glb
+  dgrasp export sequences --format npz --mano MANO_RIGHT.pkl --out arrays
+"""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The arguments of `export`."""
+    parser.add_argument("source", type=Path, metavar="FILE|DIR", help="a stored sequence, or a folder of them")
+    parser.add_argument("--format", choices=FORMATS, help="what to write (default: by the name of --out)")
+    parser.add_argument("--out", type=Path, required=True, metavar="FILE|DIR", help="a new file; for a folder a folder")
+    parser.add_argument("--mano", type=Path, metavar="FILE",
+                        help="the MANO file that the hand was made from, for npz with MANO's translation")
+
+
+def main(arguments: argparse.Namespace) -> int:
+    """Export one sequence or all of a folder; returns the exit code."""
+    files = sequence_files(arguments.source)
+    kind = arguments.format or arguments.out.suffix[1:].lower()
+    if kind not in FORMATS:
+        raise ConfigError(f"--out {arguments.out}: no format in its name; expected --format {'|'.join(FORMATS)}")
+    if arguments.mano is not None and kind != "npz":
+        raise ConfigError(f"--mano adds MANO's translation to npz; {kind} has none; leave it out")
+    many = arguments.source.is_dir()
+    targets = [arguments.out / f"{file.stem}.{kind}" if many else arguments.out for file in files]
+    there = [target for target in targets if target.exists()]
+    if there:
+        raise ConfigError(f"{there[0]} exists already; choose another --out")
+    for file, target in zip(files, targets, strict=True):
+        sequence = read_sequence(file)
+        _write(kind, target, sequence, arguments.mano)
+        print(f"wrote {target}{_said(kind, sequence, arguments.mano)}", flush=True)
+    return 0
+
+
+def _write(kind: str, path: Path, sequence: StoredSequence, mano: Path | None) -> None:
+    if kind == "mp4":
+        film.write_mp4(path, sequence)
+    elif kind == "gif":
+        write_atomic(path, film.gif(sequence))
+    else:
+        write_atomic(path, glb.glb_bytes(sequence) if kind == "glb" else arrays.npz_bytes(sequence, mano))
+
+
+def _said(kind: str, sequence: StoredSequence, mano: Path | None) -> str:
+    """What the user should know of MANO's parameters in an npz."""
+    if kind != "npz":
+        return ""
+    if sequence.about["mano"] is None:
+        return f"; MANO's parameters: {arrays.mano_note(sequence)}"
+    if mano is None and "root_joint" not in sequence.about["mano"]:
+        return "; without mano_transl, which needs MANO's root joint: give --mano FILE"
+    return ""

@@ -1,0 +1,118 @@
+"""`dgrasp labels check`: what is in a label file, and what is wrong with it."""
+
+from __future__ import annotations
+
+import argparse
+import statistics
+from pathlib import Path
+
+from rich.console import Console
+from rich.table import Table
+
+from dgrasp.errors import DataError
+from dgrasp.labels.quality.measure import Finding
+
+HELP = """\
+Read a label file and measure every label on the hand and the objects that it would be used with: counts, frames,
+units, joint limits, penetration (cm3) and distance (mm), goal contacts, height over the table, whether contacts could
+carry the object's weight, duplicates.
+
+examples:
+  dgrasp labels check DIR/labels/dexycb_train_labels.pkl --data DIR
+  dgrasp labels check mine.npz --data DIR --hand hands/mine --html
+"""
+_WORST = 10
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The options of `labels check`."""
+    parser.add_argument("file", type=Path, metavar="FILE", help="a label file")
+    parser.add_argument("--data", metavar="free|DIR", help="whose objects and hand (default: as for training)")
+    parser.add_argument("--hand", metavar="HAND", help="the hand, where it is not the data's own")
+    parser.add_argument("--mano", metavar="FILE", help="the MANO file of the hand: measure on its skin")
+    parser.add_argument("--html", nargs="?", const="", metavar="PAGE",
+                        help="write a page with a picture per label, worst first (default name: FILE with .html)")
+
+
+def main(arguments: argparse.Namespace) -> int:
+    """Check the file; returns the exit code, 0 also where labels have problems."""
+    from dgrasp.build import build_hand, build_objects
+    from dgrasp.config.experiment import make_config
+    from dgrasp.data import resolve
+    from dgrasp.eval.meshes import build_bodies, build_interpenetration
+    from dgrasp.geometry.shape_mesh import shapes_vertices
+    from dgrasp.labels.quality.measure import measure_labels
+    from dgrasp.labels.quality.weight import Carrying
+    from dgrasp.labels.recorded.common import progress
+    from dgrasp.scene.standing import standing
+
+    page = None if arguments.html is None else Path(arguments.html or arguments.file.with_suffix(".html"))
+    if page is not None and not page.parent.is_dir():
+        raise DataError(f"{page}: the folder {page.parent} does not exist")
+    config = make_config({"data": arguments.data, "hand": arguments.hand, "labels": {"source": str(arguments.file)},
+                          "eval": {"mano": arguments.mano}}, "labels check")
+    choice = resolve(config)
+    print(choice.describe(), flush=True)
+    hand, objects = build_hand(choice), build_objects(choice, config)
+    bodies = build_bodies(choice, objects)
+    surface = build_interpenetration(choice, config, hand, bodies).surface
+    meshes = {name: one.body for name, one in bodies.items()}
+    carrying = Carrying(hand, meshes, {name: model.center_of_mass_O for name, model in objects.items()})
+    findings = measure_labels(choice.labels.labels, hand, surface, meshes,
+                              lambda labels: progress(labels, "measuring"), carrying,
+                              {name: shapes_vertices(model.shapes) for name, model in objects.items()})
+    _print_table(findings)
+    lines = summary(findings, surface.kind)
+    print("\n".join(lines))
+    worst = sorted((f for f in findings if f.problems), key=lambda f: -f.badness)[:_WORST]
+    for finding in worst:
+        print(f"  {finding.label.name}: {'; '.join(finding.problems)}")
+    if page is not None:
+        from dgrasp.files.atomic import write_atomic
+        from dgrasp.view.label_page import label_page, label_pictures
+
+        pictures = label_pictures(standing(choice.labels.labels, objects), hand, objects)
+        write_atomic(page, label_page(f"Labels of {arguments.file.name}", [choice.describe(), *lines], findings,
+                                      pictures))
+        print(f"wrote {page}")
+    return 0
+
+
+def summary(findings: list[Finding], kind: str) -> list[str]:
+    """The counts of the whole file. kind: what the hand's surface is made of."""
+    labels = [finding.label for finding in findings]
+    volumes = [f.penetration_cm3 for f in findings if f.penetration_cm3 is not None]
+    wrong = [finding for finding in findings if finding.problems]
+    tables = [f.table_mm for f in findings if f.table_mm is not None]
+    lines = [
+        f"{len(labels)} labels of {len({label.object_id for label in labels})} objects: "
+        f"{sum(label.start is not None for label in labels)} with an approach, "
+        f"{sum(label.on_table for label in labels)} with a table; metres, radians and rigid frames checked",
+        f"penetration (on {kind}): mean {statistics.fmean(volumes) if volumes else 0.0:.2f} cm3; "
+        f"{sum(f.distance_mm > 0.0 for f in findings)} hands do not reach the object",
+        f"{sum(f.beyond_limits > 0 for f in findings)} labels have angles beyond the hand's limits, "
+        f"{statistics.fmean(f.beyond_limits for f in findings):.1f} of 45 on average",
+        f"{sum(f.sunk_mm > 0.0 for f in findings)} hands would reach below the table's top where their objects start; "
+        f"{sum(not f.carries for f in findings)} cannot carry the weight by what they touch; "
+        f"{sum(f.duplicate_of is not None for f in findings)} duplicates",
+        f"{len(wrong)} labels with problems",
+    ]
+    if tables:
+        lines.insert(3, f"objects' lowest points {min(tables):+.1f} to {max(tables):+.1f} mm over the table's top, "
+                        f"median {statistics.median(tables):+.1f}")
+    return lines
+
+
+def _print_table(findings: list[Finding]) -> None:
+    table = Table(title="means per object: penetration, distance, goal contacts, angles beyond limits")
+    for column in ("object", "labels", "cm3", "mm", "contacts", "beyond", "problems"):
+        table.add_column(column, justify="left" if column == "object" else "right", no_wrap=True)
+    for name in dict.fromkeys(finding.label.object_id for finding in findings):
+        own = [finding for finding in findings if finding.label.object_id == name]
+        volumes = [f.penetration_cm3 for f in own if f.penetration_cm3 is not None]
+        table.add_row(
+            name, str(len(own)), f"{statistics.fmean(volumes):.2f}" if volumes else "-",
+            f"{statistics.fmean(f.distance_mm for f in own):.1f}", f"{statistics.fmean(f.contacts for f in own):.1f}",
+            f"{statistics.fmean(f.beyond_limits for f in own):.1f}", str(sum(bool(f.problems) for f in own)),
+        )
+    Console().print(table)

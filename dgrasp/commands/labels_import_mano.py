@@ -1,0 +1,81 @@
+"""`dgrasp labels import mano`: grasp labels from a table of MANO parameters and object poses."""
+
+from __future__ import annotations
+
+import argparse
+import math
+from pathlib import Path
+
+import numpy as np
+
+from dgrasp.errors import DataError
+from dgrasp.labels.recorded.common import MANO_TERMS, add_common, finish, make_maker, progress
+from dgrasp.labels.recorded.conventions import CHOICES, read_grasps
+from dgrasp.labels.recorded.making import numbered
+from dgrasp.labels.recorded.mano_table import read_mano_table
+from dgrasp.scene.scene import TABLE_TOP
+from dgrasp.scene.standing import PLACE_XY
+
+HELP = """\
+Make grasp labels from a .npz or .csv of MANO parameters and object poses, such as the raw outputs of GraspTTA and
+ContactOpt. docs/labels.md lists the names of arrays and columns. Where data sets differ in what the numbers mean,
+nothing is assumed: say it, or give the key points (`joints`), by which it is found.
+
+example:
+  dgrasp labels import mano grasps.npz --mano MANO_RIGHT.pkl --hand hands/mine --objects YCB_models --out mine.npz \\
+      --pose axis-angle --mean flat --fingers mano --transl mano --quaternion xyzw
+"""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The options of `labels import mano`."""
+    parser.add_argument("source", type=Path, metavar="FILE", help="a .npz or .csv")
+    add_common(parser, objects="needed")
+    meanings = {
+        "pose": "what hand_pose holds", "mean": "from where it counts: the flat hand or MANO's mean pose",
+        "fingers": "index, middle, little, ring, thumb (mano) or index, middle, ring, little, thumb (project)",
+        "transl": "MANO's translation of the mesh, or the wrist's position", "quaternion": "order of object_rotation",
+    }  # fmt: skip
+    for question, meaning in meanings.items():
+        parser.add_argument(f"--{question}", choices=CHOICES[question], help=meaning)
+    parser.add_argument("--mean-shape", action="store_true", help="the hands have MANO's mean shape (no betas)")
+    parser.add_argument("--object", metavar="NAME", help="the object of all rows, where the table has no names")
+    parser.add_argument("--object-at-origin", action="store_true",
+                        help="the objects are where the hands' frame has its origin, unturned (no object poses)")
+    parser.add_argument("--table", type=float, metavar="Z",
+                        help="m; z of the table's top in a frame whose z is up (default: there is no table, and the "
+                             "object is put onto one as its own frame has it)")
+    parser.add_argument("--licence", default=MANO_TERMS, help="the terms of the labels (default: MANO's)")
+
+
+def main(arguments: argparse.Namespace) -> int:
+    """Import and write the labels; returns the exit code."""
+    if arguments.objects is None:
+        raise DataError("--objects: give the folder of the objects' meshes, which the contacts are taken from")
+    if arguments.table is not None and not (math.isfinite(arguments.table) and abs(arguments.table) <= 10.0):
+        raise DataError(f"--table {arguments.table:g}: expected metres, at most 10")
+    maker = make_maker(arguments, [])
+    table = read_mano_table(arguments.source, arguments.object)
+    given = {question: getattr(arguments, question) for question in CHOICES if getattr(arguments, question)}
+    grasps = read_grasps(table, maker.model, given, arguments.mean_shape, arguments.object_at_origin)
+    print("conventions: " + ", ".join(f"{question} {answer}" for question, answer in grasps.answers.items()))
+    labels, skipped = [], {}
+    for row in progress(list(range(len(table))), "making labels"):
+        T_OH = np.linalg.inv(grasps.T_AO[row]) @ grasps.T_AH[row]
+        name, pose = table.objects[row], grasps.hand_pose[row]
+        contacts = maker.contacts(maker.model, grasps.betas[row], T_OH, pose, name)
+        if not contacts.any():
+            skipped[f"row {row}"] = ("hand does not touch the object", name)
+            continue
+        # Without a table the world is the object's frame, as for the labels that the authors published.
+        T_WO, T_WH = np.eye(4), T_OH
+        if arguments.table is not None:
+            # Where on the table the frame has its origin is nobody's choice; the object stands where others do.
+            T_WA = np.eye(4)
+            T_WA[:3, 3] = *(np.array(PLACE_XY) - grasps.T_AO[row][:2, 3]), TABLE_TOP - arguments.table
+            T_WO, T_WH = T_WA @ grasps.T_AO[row], T_WA @ grasps.T_AH[row]
+        labels.append(maker.label(name, T_WH, pose, T_WO, contacts, None, f"{table.path.name}:{row}"[:200],
+                                  on_table=arguments.table is not None))
+    return finish(arguments, numbered(labels), skipped, {
+        "made by": "dgrasp labels import mano", "table": table.path.name, "conventions": grasps.answers,
+    }, arguments.licence)  # fmt: skip

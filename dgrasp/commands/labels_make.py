@@ -1,0 +1,222 @@
+"""`dgrasp labels make`: static grasps synthesised for a hand and objects, as a label file."""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import multiprocessing
+import os
+import shutil
+import time
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from dgrasp import __version__
+from dgrasp.config.experiment import Config, make_config
+from dgrasp.errors import ConfigError, DataError
+from dgrasp.hand.mano.model import Side
+from dgrasp.hand.store import NamedHand, open_hand
+from dgrasp.objects.free import free_object
+from dgrasp.objects.model import ObjectModel
+from dgrasp.objects.names import YCB_NAMES, resolve_object
+from dgrasp.objects.release import release_object
+from dgrasp.objects.store import default_store, find_object, load_object
+from dgrasp.pool import cores
+from dgrasp.types import GraspLabel
+
+HELP = """\
+Make static grasp labels for a hand and objects by gradient descent (contact, force closure, penetration, joint limits,
+a prior of natural hands, table), try them in the simulator under gt_pd, and keep diverse ones, of which some hold.
+
+examples:
+  dgrasp labels make --objects 004_sugar_box 024_bowl --number 25 --out mine.npz --engine mujoco
+  dgrasp labels make --objects all --number 25 --test 124 --out free.npz      (free_train.npz and free_test.npz)
+  dgrasp labels make --objects my_vase --number 50 --hand hands/mine --out vase.npz
+"""
+MAX_NUMBER = 1000
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The options of `labels make`."""
+    parser.add_argument("--objects", nargs="+", required=True, metavar="NAME",
+                        help="of the 20, or added by `dgrasp object add`; all: the 20")
+    parser.add_argument("--number", type=int, required=True, metavar="N", help="labels per object")
+    parser.add_argument("--out", type=Path, required=True, metavar="FILE.npz", help="the label file to write")
+    parser.add_argument("--test", type=int, default=0, metavar="N",
+                        help="so many labels, over all objects, go to FILE_test.npz, the others to FILE_train.npz")
+    parser.add_argument("--hand", metavar="HAND",
+                        help='"free", a folder of `dgrasp hand build`, or a URDF file (default: that of --data)')
+    parser.add_argument("--data", default="free", metavar="free|DIR", help="whose 20 objects (default: free)")
+    parser.add_argument("--store", type=Path, metavar="DIR", help="folder of added objects (default: data/objects)")
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--engine", choices=("pybullet", "mujoco"), default="pybullet",
+                        help="tries the grasps (default: pybullet; mujoco is five times faster)")
+    parser.add_argument("--workers", type=int, metavar="N", help="processes (default: one per core)")
+
+
+@dataclass(frozen=True)
+class _Task:
+    """One object's labels, for a process of its own."""
+
+    hand: str
+    side: Side
+    model: ObjectModel
+    count: int
+    seed: int
+    config: Config
+    file: str
+    """The name under which its labels are kept until all objects are done."""
+
+
+def main(arguments: argparse.Namespace) -> int:
+    """Make and write the labels; returns the exit code."""
+    tasks, hand = _tasks(arguments)
+    files = _files(arguments, len(tasks))
+    begin = time.monotonic()
+    made, figures = [], {}
+    workers = min(arguments.workers or cores(), len(tasks))
+    parts = arguments.out.with_suffix(".parts")
+    todo = [task for task in tasks if not (parts / task.file).is_file()]
+    missing = {task.file for task in todo}
+    if len(todo) < len(tasks):
+        print(f"{parts}: {len(tasks) - len(todo)} objects are there from a run that was stopped", flush=True)
+    with ProcessPoolExecutor(workers, multiprocessing.get_context("spawn"), _one_thread) as pool:
+        results = iter(pool.map(_make, todo))
+        for task in tasks:
+            labels, row = _kept(parts / task.file, next(results) if task.file in missing else None)
+            made.append(labels)
+            figures[task.model.name] = row
+            print(f"{task.model.name}: {len(labels)} labels, {row['held']} hold under gt_pd ({row['found_held']:.2f} "
+                  f"before the choice, {row['best_quarter_held']:.2f} of the best quarter); penetration "
+                  f"{row['penetration_cm3']:.2f} cm3, {row['touching']:.1f} parts touch, {row['contacts']:.1f} goal "
+                  f"contacts, joints {row['diversity_deg']:.0f} deg apart; {row['cpu_s']:.0f} s of CPU", flush=True)
+    held = sum(row["held"] for row in figures.values()) / sum(map(len, made))
+    best = float(np.mean([row["best_quarter_held"] for row in figures.values()]))
+    print(f"{sum(map(len, made))} labels in {time.monotonic() - begin:.0f} s; gt_pd holds {held:.2f} of them, "
+          f"{best:.2f} of each object's best quarter by geometry")
+    _write(files, made, arguments, hand, figures)
+    shutil.rmtree(parts)
+    return 0
+
+
+def _tasks(arguments: argparse.Namespace) -> tuple[list[_Task], NamedHand]:
+    """One task per object, everything that can be refused refused."""
+    out = arguments.out
+    if out.suffix != ".npz" or not out.parent.is_dir():
+        raise DataError(f"--out {out}: expected the name of a .npz file in a folder that exists")
+    if not 1 <= arguments.number <= MAX_NUMBER:
+        raise ConfigError(f"--number {arguments.number}: expected 1 to {MAX_NUMBER} labels per object")
+    if arguments.seed < 0 or (arguments.workers is not None and arguments.workers < 1):
+        raise ConfigError(f"--seed {arguments.seed} --workers {arguments.workers}: expected a seed of at least 0, and "
+                          "at least one process")
+    config = make_config({"engine": arguments.engine}, "labels make")
+    _require_engine(arguments.engine)
+    data = None if arguments.data == "free" else Path(os.path.expanduser(arguments.data))
+    name = arguments.hand or ("free" if data is None else str(data / "hand" / "mano_mean.urdf"))
+    hand = open_hand(name)
+    side: Side = hand.meta.get("side", "right")
+    wanted = list(YCB_NAMES.values()) if arguments.objects == ["all"] else list(dict.fromkeys(arguments.objects))
+    models = list({model.name: model for model in (_object(entry, data, arguments.store, config) for entry in wanted)
+                   }.values())  # fmt: skip
+    same = [hand.model.id, __version__, arguments.number, arguments.seed, arguments.engine]
+    return [
+        _Task(name, side, model, arguments.number, arguments.seed, config, _part_name(model, same)) for model in models
+    ], hand
+
+
+def _part_name(model: ObjectModel, same: list[Any]) -> str:
+    """Names an object's labels by what they depend on."""
+    digest = hashlib.sha256(f"{model!r} {same}".encode()).hexdigest()
+    return f"{model.name}-{digest[:12]}.npz"
+
+
+def _kept(path: Path, made: tuple[list[GraspLabel], dict[str, Any]] | None) -> tuple[list[GraspLabel], dict[str, Any]]:
+    """Labels and figures of one object: written to the file, or read from it where there are none."""
+    from dgrasp.labels.formats.native import read_native_with_meta, write_native
+
+    if made is None:
+        labels, meta = read_native_with_meta(path)
+        return labels, meta["provenance"]
+    path.parent.mkdir(exist_ok=True)
+    write_native(path, made[0], made[1], "of a file that is not finished")
+    return made
+
+
+def _require_engine(name: str) -> None:
+    from raisim_like.engines import make_engine
+    from raisim_like.errors import EngineError
+
+    try:
+        make_engine(name)
+    except EngineError as error:
+        raise ConfigError(f"--engine: {error}") from None
+
+
+def _object(name: str, data: Path | None, store: Path | None, config: Config) -> ObjectModel:
+    """An added object where there is one of that name, else one of the 20."""
+    physics, parts = config.physics, config.engine == "mujoco"
+    folder = store or default_store()
+    if (folder / name).is_dir():
+        return load_object(find_object(name, [folder]).folder, physics.official_compat, parts)
+    try:
+        full = resolve_object(name)
+    except DataError:
+        return load_object(find_object(name, [folder]).folder, physics.official_compat, parts)
+    if data is None:
+        return free_object(full, physics.masses, physics.official_compat)
+    concave = "parts" if parts else physics.concave
+    return release_object(data / "objects", full, physics.masses, physics.official_compat, concave)
+
+
+def _files(arguments: argparse.Namespace, objects: int) -> list[Path]:
+    """The file, or those of both splits."""
+    total, test, out = objects * arguments.number, arguments.test, arguments.out
+    if test == 0:
+        return [out]
+    if not objects <= test <= total - objects:
+        raise ConfigError(f"--test {test}: expected {objects} to {total - objects} of {total} labels, so that each "
+                          "object has some in both files")
+    return [out.with_name(f"{out.stem}_{split}.npz") for split in ("train", "test")]
+
+
+def _one_thread() -> None:
+    import torch
+
+    torch.set_num_threads(1)
+
+
+def _make(task: _Task) -> tuple[list[GraspLabel], dict[str, Any]]:
+    """The labels of one object and their figures."""
+    from dgrasp.synthesis.report import figures
+    from dgrasp.synthesis.synthesiser import Synthesiser
+
+    begin = time.process_time()
+    named = open_hand(task.hand)
+    digest = int.from_bytes(hashlib.sha256(task.model.name.encode()).digest()[:4], "big")
+    rng = np.random.default_rng([task.seed, digest])
+    made = Synthesiser(named.model, task.side).make(task.model, task.count, rng, task.config)
+    row = figures(made, named, task.model)
+    return made.labels, {**row, "cpu_s": round(time.process_time() - begin, 1)}
+
+
+def _write(files: list[Path], made: list[list[GraspLabel]], arguments: argparse.Namespace, hand: NamedHand,
+           figures: dict[str, dict[str, Any]]) -> None:
+    from dgrasp.labels.formats.native import write_native
+    from dgrasp.labels.recorded.making import numbered, split
+
+    everything = [label for labels in made for label in labels]
+    parts = [numbered(everything)] if len(files) == 1 else split(made, arguments.test, arguments.seed)
+    free = hand.model.id == "free" and arguments.data == "free" and all(
+        label.object_id in YCB_NAMES.values() for label in everything
+    )
+    licence = "MIT" if free else "that of the hand and of the objects that they were made for"
+    figures = {name: {key: value for key, value in row.items() if key != "cpu_s"} for name, row in figures.items()}
+    provenance = {"made_by": "dgrasp labels make", "seed": arguments.seed, "engine": arguments.engine,
+                  "per_object": figures}
+    for path, part in zip(files, parts, strict=True):
+        write_native(path, part, provenance, licence)
+        print(f"wrote {path}: {len(part)} labels, {path.stat().st_size} bytes; licence: {licence}")

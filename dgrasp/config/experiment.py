@@ -1,0 +1,154 @@
+"""The typed configuration of an experiment, read from YAML with dotted overrides.
+
+Its sections stand in `dgrasp.config.sections`; `cfg/` names experiments.
+"""
+
+from __future__ import annotations
+
+import difflib
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import yaml
+from pydantic import BaseModel, Field, ValidationError, model_validator
+
+from dgrasp.config.sections import (
+    CheckpointConfig,
+    EnvConfig,
+    EvalConfig,
+    LabelsConfig,
+    MotionConfig,
+    PhysicsConfig,
+    PoolConfig,
+    PpoConfig,
+    Section,
+)
+from dgrasp.config.values import apply_overrides, parse_yaml
+from dgrasp.errors import ConfigError
+from dgrasp.files.paths import cfg_root
+
+
+class Config(Section):
+    """One experiment.
+
+    objects: the folder of added objects (`dgrasp object add`) that labels name; null looks at the data's objects/, then
+    at data/objects.
+    """
+
+    name: Annotated[str, Field(pattern=r"^[^/\\\x00]{1,100}$")] = "dexycb"
+    seed: Annotated[int, Field(ge=0)] = 1
+    engine: Literal["pybullet", "mujoco"] = "pybullet"
+    device: Literal["auto", "cpu", "cuda"] = "auto"
+    data: str | None = None
+    hand: str | None = None
+    objects: str | None = None
+    fallback: Literal["free", "error"] = "free"
+    labels: LabelsConfig = LabelsConfig()
+    physics: PhysicsConfig = PhysicsConfig()
+    env: EnvConfig = EnvConfig()
+    motion: MotionConfig = MotionConfig()
+    ppo: PpoConfig = PpoConfig()
+    pool: PoolConfig = PoolConfig()
+    checkpoint: CheckpointConfig = CheckpointConfig()
+    eval: EvalConfig = EvalConfig()
+
+    @property
+    def control_period(self) -> float:
+        """Seconds per control step."""
+        return self.physics.timestep * self.physics.substeps
+
+    def episode_steps(self, epoch: int) -> int:
+        """Control steps of an episode of training in an epoch; the first one is 1."""
+        return self.env.episode_steps + self.env.lengthens_by * self.labels.doublings(epoch)
+
+    def learned_steps(self, epoch: int) -> int:
+        """Those of them that the learner sees: in task motion the ones after the grasp."""
+        return self.episode_steps(epoch) - (self.env.grasp_steps if self.env.task == "motion" else 0)
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Config:
+        if self.env.grasp_steps >= self.env.episode_steps:
+            raise ValueError("env.grasp_steps must be below env.episode_steps")
+        hold = self.env.hold
+        if hold.first_step is not None and not hold.first_step <= hold.last_step < self.env.episode_steps:
+            raise ValueError("env.hold: expected first_step <= last_step < env.episode_steps")
+        if hold.first_step is not None and self.env.task != "grasp":
+            raise ValueError(f"env.hold.first_step: the table stays in task {self.env.task}; expected null")
+        if self.physics.concave == "mesh" and self.engine == "mujoco":
+            raise ValueError("physics.concave: mujoco collides no concave meshes; expected auto or parts, or the "
+                             "engine pybullet")
+        if self.ppo.min_learning_rate > self.ppo.max_learning_rate:
+            raise ValueError("ppo.min_learning_rate must not exceed ppo.max_learning_rate")
+        return self
+
+
+def config_keys(model: type[BaseModel] = Config, prefix: str = "") -> list[str]:
+    """All dotted keys of the configuration."""
+    keys = []
+    for name, info in model.model_fields.items():
+        annotation = info.annotation
+        if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+            keys += config_keys(annotation, f"{prefix}{name}.")
+        else:
+            keys.append(f"{prefix}{name}")
+    return keys
+
+
+def _nearest(path: str) -> str:
+    keys = config_keys()
+    sections = sorted({key.rsplit(".", 1)[0] for key in keys if "." in key})
+    candidates = keys + sections
+    close = difflib.get_close_matches(path, candidates, n=1, cutoff=0.5)
+    if not close:
+        tail = path.rsplit(".", 1)[-1]
+        close = [k for k in candidates if k.rsplit(".", 1)[-1] in difflib.get_close_matches(
+            tail, [c.rsplit(".", 1)[-1] for c in candidates], n=1, cutoff=0.5)][:1]
+    return f"; did you mean {close[0]!r}?" if close else ""
+
+
+def make_config(values: dict[str, Any], where: str = "config") -> Config:
+    """The validated config; a `ConfigError` lists every problem at once, each with its path."""
+    try:
+        return Config.model_validate(values)
+    except ValidationError as error:
+        lines = []
+        for issue in error.errors():
+            path = ".".join(str(part) for part in issue["loc"])
+            if issue["type"] == "extra_forbidden":
+                lines.append(f"{path}: unknown key{_nearest(path)}")
+            else:
+                got = "" if isinstance(issue.get("input"), (dict, Config)) else f" (got {issue.get('input')!r})"
+                lines.append(f"{path + ': ' if path else ''}{issue['msg']}{got}")
+        raise ConfigError(f"{where}:\n  " + "\n  ".join(lines)) from None
+
+
+def read_values(path: Path) -> dict[str, Any]:
+    """The plain values of a YAML config."""
+    try:
+        text = Path(path).read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigError(f"{path}: cannot read the config ({error})") from None
+    values = parse_yaml(text, str(path))
+    values = {} if values is None else values
+    if not isinstance(values, dict):
+        raise ConfigError(f"{path}: expected a mapping of config keys, got {type(values).__name__}")
+    return values
+
+
+def load_config(path: Path | None, overrides: list[str] | None = None) -> Config:
+    """The config of a YAML file (or the defaults) with overrides such as `["ppo.epochs=6", "seed=3"]`."""
+    values = {} if path is None else read_values(path)
+    return make_config(apply_overrides(values, overrides or []), where=str(path) if path else "config")
+
+
+def dump_config(config: Config) -> str:
+    """The config as YAML, complete, so that a run can be repeated."""
+    return yaml.safe_dump(config.model_dump(mode="json"), sort_keys=False)
+
+
+def find_config(path: Path | None) -> Path | None:
+    """A config file; `cfg/NAME.yaml` also names the one that comes with the package."""
+    if path is None or path.is_file() or path.parent != Path("cfg"):
+        return path
+    shipped = cfg_root() / path.name
+    return shipped if shipped.is_file() else path

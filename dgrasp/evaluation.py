@@ -1,0 +1,75 @@
+"""Evaluate a method on the labels of a config: grasps, or motions to targets."""
+
+from __future__ import annotations
+
+import sys
+import time
+from dataclasses import replace
+
+from dgrasp.build import build_spec
+from dgrasp.config.experiment import Config
+from dgrasp.data import DataChoice
+from dgrasp.eval.evaluator import evaluate_labels
+from dgrasp.eval.meshes import build_bodies, build_interpenetration
+from dgrasp.eval.motion import check_method, choose_targets, motion_result, run_motions
+from dgrasp.eval.summary import Result, label_row, summarise
+from dgrasp.methods.ik import IkBaseline
+from dgrasp.methods.policy import Method
+from dgrasp.pool import PoolSpec
+from dgrasp.rl.run.progress import format_duration
+from dgrasp.types import EpisodeRecord
+
+
+def evaluate_choice(
+    method: Method, config: Config, choice: DataChoice
+) -> tuple[Result, list[EpisodeRecord], PoolSpec]:
+    """Evaluate a method on the chosen labels."""
+    spec = build_spec(choice, config)
+    bodies = build_bodies(choice, spec.objects)
+    measure = build_interpenetration(choice, config, spec.hand, bodies) if config.eval.interpenetration else None
+    if isinstance(method, IkBaseline):
+        started = time.perf_counter()
+        labels = method.correct(spec.labels, spec.hand, {name: entry.body for name, entry in bodies.items()})
+        took = time.perf_counter() - started
+        print(f"{method.name}: {len(labels)} labels corrected in {took:.1f} s", file=sys.stderr)
+        spec = replace(spec, labels=labels)
+    records, cost, events = evaluate_labels(spec, method, _Progress())
+    for event in events:
+        print(f"warning: {event}", file=sys.stderr)
+    window = config.eval.window_s
+    rows = [label_row(r, window) if measure is None else label_row(r, window) | measure.measure(r) for r in records]
+    result = summarise(
+        rows, method=method.name, engine=config.engine, window_s=window, seed=config.seed, data=choice.stamp(),
+        cost=cost, interpenetration=None if measure is None else measure.report(),
+    )  # fmt: skip
+    return result, records, spec
+
+
+def evaluate_motion(
+    method: Method, config: Config, choice: DataChoice
+) -> tuple[Result, list[EpisodeRecord], PoolSpec]:
+    """Let a method carry the chosen labels' objects to the targets of `motion.targets`."""
+    check_method(method)
+    targets = choose_targets(config, choice)
+    spec = build_spec(choice, config)
+    motions = run_motions(spec, method, targets, _Progress())
+    for event in motions.events:
+        print(f"warning: {event}", file=sys.stderr)
+    return motion_result(motions, method, config, choice, targets, spec.labels), motions.records, spec
+
+
+class _Progress:
+    """Says how far an evaluation is: on one line of a terminal, else every tenth of the way."""
+
+    def __init__(self) -> None:
+        self._tenth = -1
+        self._start = time.monotonic()
+
+    def __call__(self, done: int, total: int) -> None:
+        if sys.stderr.isatty():
+            left = (time.monotonic() - self._start) / done * (total - done)
+            end = "\n" if done == total else ""
+            print(f"\revaluating: step {done} of {total}, {format_duration(left)} left ", end=end, file=sys.stderr)
+        elif 10 * done // total > self._tenth:
+            self._tenth = 10 * done // total
+            print(f"evaluating: step {done} of {total}", file=sys.stderr, flush=True)

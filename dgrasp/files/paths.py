@@ -1,0 +1,63 @@
+"""Where the files lie that come with the package, `cfg/` and `data/`, and those that it makes for a user.
+
+In a checkout they stand next to the package; a wheel carries them inside, in `dgrasp/_bundled/`.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from pathlib import Path
+
+from dgrasp.errors import DataError
+
+PACKAGE = Path(__file__).resolve().parents[1]
+_BUNDLED = PACKAGE / "_bundled"
+
+
+def is_checkout() -> bool:
+    """Whether the package runs from its source tree."""
+    # Only a wheel has the bundled folder; a neighbour called data/ proves nothing in site-packages.
+    return not _BUNDLED.is_dir()
+
+
+def shipped_root() -> Path:
+    """The folder that holds `cfg/` and `data/`."""
+    return PACKAGE.parent if is_checkout() else _BUNDLED
+
+
+def data_root() -> Path:
+    """The `data/` folder that comes with the package."""
+    return shipped_root() / "data"
+
+
+def cfg_root() -> Path:
+    """The folder of the experiments' configurations."""
+    return shipped_root() / "cfg"
+
+
+def user_data_root() -> Path:
+    """Where users put data of their own: the checkout's `data/`, or `data/` in the current folder."""
+    return data_root() if is_checkout() else Path.cwd() / "data"
+
+
+def user_cache_root() -> Path:
+    """Where things are kept that can be made anew: DGRASP_CACHE, else the platform's folder for caches."""
+    if os.environ.get("DGRASP_CACHE"):
+        return Path(os.environ["DGRASP_CACHE"]).expanduser().absolute()
+    if sys.platform == "win32":
+        return Path(os.environ.get("LOCALAPPDATA") or Path.home() / "AppData" / "Local") / "dgrasp" / "Cache"
+    if sys.platform == "darwin":
+        return Path.home() / "Library" / "Caches" / "dgrasp"
+    # By the XDG specification a relative path there is to be ignored.
+    base = Path(os.environ.get("XDG_CACHE_HOME", ""))
+    return (base if base.is_absolute() else Path.home() / ".cache") / "dgrasp"
+
+
+def package_file(relative: str) -> Path:
+    """The path of a shipped file such as "cfg/dexycb.yaml"; a `DataError` names what is there instead."""
+    path = shipped_root() / relative
+    if path.is_file():
+        return path
+    there = sorted(p.name for p in path.parent.iterdir()) if path.parent.is_dir() else []
+    raise DataError(f"{path}: no such file comes with the package; in its folder: {', '.join(there) or 'nothing'}")

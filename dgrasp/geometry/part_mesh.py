@@ -1,0 +1,30 @@
+"""The closed mesh of one rigid part."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from dgrasp.types import Array
+
+
+@dataclass(frozen=True, eq=False)
+class PartMesh:
+    """A closed mesh, wound outwards: vertices (V, 3) m in the part's frame, faces (F, 3)."""
+
+    name: str
+    vertices: Array
+    faces: Array
+
+    @property
+    def volume(self) -> float:
+        """m^3."""
+        return mesh_volume(self.vertices, self.faces)
+
+
+def mesh_volume(vertices: Array, faces: Array) -> float:
+    """Volume in m^3 that a closed mesh, wound outwards, encloses."""
+    # Counted from a corner of the mesh, not from a far origin, to keep the digits.
+    a, b, c = np.moveaxis(vertices[faces] - vertices[faces[0, 0]], 1, 0)
+    return float((a * np.cross(b, c)).sum() / 6.0)

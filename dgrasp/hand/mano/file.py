@@ -1,0 +1,223 @@
+"""MANO's hand model files (MANO_RIGHT.pkl, MANO_LEFT.pkl), read without chumpy and without running their pickle.
+
+A file is a Python 2 pickle of a dictionary: plain arrays, a sparse matrix, and expressions of the chumpy
+library, of which two kinds occur: `Ch`, which is its array `x`, and `Select`, which picks the entries `idxs` of a
+flattened expression `a`. Both are read as data; `dgrasp.files.pickles` refuses everything else.
+"""
+
+from __future__ import annotations
+
+import math
+import reprlib
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+
+from dgrasp.errors import DataError
+from dgrasp.files.pickles import (
+    ArrayUnpickler,
+    Globals,
+    read_pickle,
+)
+from dgrasp.hand.mano.model import EXTENT, MANO_PARENTS, ManoModel, finger_side, tip_vertices
+from dgrasp.types import Array
+
+MAX_FILE_BYTES = 16 * 2**20
+"""Largest file that is read (MANO's have 4 MB)."""
+MAX_VERTICES, MAX_SHAPES = 10_000, 400
+_GIVE = "give MANO_RIGHT.pkl or MANO_LEFT.pkl"
+
+
+class _Chumpy:
+    """A chumpy expression: its state, never evaluated by the file's will."""
+
+    state: dict[str, Any]
+
+
+class _Select(_Chumpy):
+    """chumpy.reordering.Select."""
+
+
+class _Sparse:
+    """A scipy sparse matrix: its state."""
+
+    state: dict[str, Any]
+    by_columns = True
+
+
+class _SparseRows(_Sparse):
+    by_columns = False
+
+
+def _set(items: Any = ()) -> None:
+    """chumpy's states hold sets of names; nothing of them is needed."""
+
+
+_ALLOWED: Globals = {
+    **ArrayUnpickler.allowed,
+    ("chumpy.ch", "Ch"): _Chumpy,
+    ("chumpy.reordering", "Select"): _Select,
+    ("scipy.sparse.csc", "csc_matrix"): _Sparse,
+    ("scipy.sparse._csc", "csc_matrix"): _Sparse,
+    ("scipy.sparse.csr", "csr_matrix"): _SparseRows,
+    ("scipy.sparse._csr", "csr_matrix"): _SparseRows,
+    ("__builtin__", "set"): _set,
+    ("builtins", "set"): _set,
+}
+
+
+class _ManoUnpickler(ArrayUnpickler):
+    """Builds arrays of numpy and keeps the states of chumpy and scipy objects."""
+
+    allowed: ClassVar[Globals] = _ALLOWED
+
+    def build(self, target: Any, state: Any) -> Any:
+        if isinstance(target, (_Chumpy, _Sparse)):
+            if not isinstance(state, dict):
+                raise DataError("malformed chumpy expression or sparse matrix")
+            target.state = state
+            return target
+        return super().build(target, state)
+
+
+def read_mano(path: Path) -> ManoModel:
+    """The hand model of a MANO file, checked.
+
+    Raises `DataError` naming file and entry for a file that is missing, damaged, no MANO hand, or in another unit,
+    frame or order of fingers than MANO's.
+    """
+    path = Path(path)
+    return model_of(read_pickle(path, _ManoUnpickler, "MANO file", MAX_FILE_BYTES, starts=b"\x80"), path)
+
+
+def model_of(content: Any, path: Path) -> ManoModel:
+    """The hand model of a dictionary with MANO's entries, checked as `read_mano` does; path: where it comes from."""
+    try:
+        return _model(content)
+    except DataError as error:
+        raise DataError(f"{path}: {error}") from None
+
+
+def _model(content: Any) -> ManoModel:
+    if not isinstance(content, dict):
+        raise DataError(f"holds a {type(content).__name__}; expected a dictionary; {_GIVE}")
+    for key, expected in (("bs_style", "lbs"), ("bs_type", "lrotmin")):
+        if key in content and content[key] != expected:
+            raise DataError(f"{key} is {reprlib.repr(content[key])}; expected {expected!r}, MANO's skinning")
+    template = _array(content, "v_template", (None, 3))
+    n = len(template)
+    if not 16 <= n <= MAX_VERTICES:
+        raise DataError(f"{n} vertices; expected 16 to {MAX_VERTICES} (MANO has 778)")
+    shapes = _array(content, "shapedirs", (n, 3, None))
+    if shapes.shape[2] > MAX_SHAPES:
+        raise DataError(f"{shapes.shape[2]} shape components; expected at most {MAX_SHAPES} (MANO has 10)")
+    weights = _array(content, "weights", (n, 16))
+    if weights.min() < -1e-6 or np.abs(weights.sum(axis=1) - 1.0).max() > 1e-3:
+        raise DataError("weights are negative or do not sum to 1 for every vertex; get the file again")
+    kintree = _array(content, "kintree_table", (2, 16), whole=True)
+    if kintree[0, 1:].tolist() != list(MANO_PARENTS[1:]) or kintree[1].tolist() != list(range(16)):
+        raise DataError(f"kintree_table has parents {kintree[0, 1:].tolist()}; expected {list(MANO_PARENTS[1:])}, "
+                        "the tree of MANO's hand")
+    faces = _array(content, "f", (None, 3), whole=True)
+    if len(faces) == 0 or len(faces) > 4 * n or faces.min() < 0 or faces.max() >= n:
+        raise DataError(f"f holds {len(faces)} faces with vertices outside 0 to {n - 1}, or too many or none")
+    regressor = _array(content, "J_regressor", (16, n))
+    joints = regressor @ template
+    _check_geometry(template, joints)
+    side = finger_side(joints)
+    kintree[0, 0] = -1
+    return ManoModel(
+        template=template, shape_basis=shapes, pose_basis=_array(content, "posedirs", (n, 3, 135)),
+        J_regressor=regressor, weights=weights, faces=faces, kintree=kintree,
+        hands_mean=_array(content, "hands_mean", (45,)), hands_components=_array(content, "hands_components", (45, 45)),
+        side=side, tip_vertices=tip_vertices(template, joints, weights, side),
+    )
+
+
+def _check_geometry(template: Array, joints: Array) -> None:
+    """Metres, joints inside the hand, and MANO's order of fingers."""
+    extent = float(np.ptp(template, axis=0).max())
+    if not EXTENT[0] <= extent <= EXTENT[1]:
+        raise DataError(f"the hand is {extent:g} long; expected {EXTENT[0]:g} to {EXTENT[1]:g} m; convert the file")
+    outside = (joints < template.min(axis=0) - 0.02) | (joints > template.max(axis=0) + 0.02)
+    if outside.any():
+        raise DataError("J_regressor puts joints outside the hand; get the file again")
+    little, ring = (float(np.linalg.norm(joints[j] - joints[1])) for j in (7, 10))
+    if little <= ring:
+        raise DataError("the ring finger stands before the little finger; expected MANO's order index, middle, "
+                        "little, ring, thumb")
+
+
+def _array(content: dict[Any, Any], key: str, shape: tuple[int | None, ...], whole: bool = False) -> Array:
+    """Entry `key` as finite float64, or int64 where `whole`, of `shape` (None: any length)."""
+    if key not in content:
+        names = ", ".join(str(k) for k in content if isinstance(k, str))[:300]
+        raise DataError(f"lacks {key}; it has {names or 'nothing'}; {_GIVE}")
+    value = _dense(_evaluated(content[key], key), key)
+    fits = len(value.shape) == len(shape) and all(b in (None, a) for a, b in zip(value.shape, shape, strict=True))
+    if not fits:
+        wanted = ", ".join("any" if length is None else str(length) for length in shape)
+        raise DataError(f"{key} has shape {value.shape}; expected ({wanted})")
+    if whole and value.dtype.kind not in "iu":
+        raise DataError(f"{key} holds {value.dtype} numbers; expected whole ones")
+    if not np.isfinite(value).all():
+        raise DataError(f"{key} holds NaN or infinity; get the file again")
+    # float16 and the like would overflow in the next line only for absurd values.
+    if not whole and np.abs(value).max(initial=0.0) > 1e6:
+        raise DataError(f"{key} holds values beyond 1e6; get the file again")
+    return value.astype(np.int64 if whole else np.float64)
+
+
+def _evaluated(value: Any, key: str) -> Any:
+    """A chumpy expression as the array that it stands for; anything else as it is."""
+    chain: list[dict[str, Any]] = []
+    while isinstance(value, _Chumpy):
+        if len(chain) > 8 or not isinstance(getattr(value, "state", None), dict):
+            raise DataError(f"{key} is a damaged chumpy expression; get the file again")
+        if isinstance(value, _Select):
+            chain.append(value.state)
+            value = value.state.get("a")
+        else:
+            value = value.state.get("x")
+    for state in reversed(chain):
+        picked: Any = state.get("idxs")
+        shape = state.get("preferred_shape")
+        arrays = isinstance(value, np.ndarray) and isinstance(picked, np.ndarray)
+        if not arrays or picked.dtype.kind not in "iu" or picked.size > 3 * MAX_VERTICES * MAX_SHAPES:
+            raise DataError(f"{key} selects from no array; get the file again")
+        flat = value.ravel()
+        if picked.size and not (picked.min() >= 0 and picked.max() < flat.size):
+            raise DataError(f"{key} selects entries that are not there; get the file again")
+        value = flat[picked.ravel()]
+        if isinstance(shape, tuple) and all(isinstance(n, int) and 0 < n < 2**31 for n in shape):
+            value = value.reshape(shape)
+    return value
+
+
+def _dense(value: Any, key: str) -> Array:
+    """An array as it is, a sparse matrix written out."""
+    if isinstance(value, np.ndarray):
+        return value
+    if not isinstance(value, _Sparse) or not isinstance(getattr(value, "state", None), dict):
+        raise DataError(f"{key} is a {type(value).__name__.strip('_')}; expected an array of numbers")
+    state = value.state
+    shape: Any = state.get("_shape", state.get("shape"))
+    parts: list[Any] = [state.get(name) for name in ("data", "indices", "indptr")]
+    data, inner, starts = parts
+    arrays = all(isinstance(a, np.ndarray) and a.ndim == 1 for a in parts)
+    pair = isinstance(shape, tuple) and len(shape) == 2 and all(isinstance(n, int) for n in shape)
+    if not arrays or not pair or min(shape) <= 0 or math.prod(shape) > 16 * MAX_VERTICES:
+        raise DataError(f"{key} is a damaged sparse matrix; get the file again")
+    outer_size, inner_size = (shape[1], shape[0]) if value.by_columns else shape
+    whole = inner.dtype.kind in "iu" and starts.dtype.kind in "iu"
+    if not whole or len(starts) != outer_size + 1 or not (starts[0] == 0 and starts[-1] == len(data) == len(inner)):
+        raise DataError(f"{key} is a sparse matrix whose indices do not fit; get the file again")
+    counts = np.diff(starts.astype(np.int64))
+    if (counts < 0).any() or (len(inner) and not (inner.min() >= 0 and inner.max() < inner_size)):
+        raise DataError(f"{key} is a sparse matrix whose indices do not fit; get the file again")
+    outer = np.repeat(np.arange(outer_size), counts)
+    rows, columns = (inner, outer) if value.by_columns else (outer, inner)
+    dense = np.zeros(shape)
+    np.add.at(dense, (rows, columns), data)
+    return dense

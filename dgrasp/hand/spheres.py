@@ -1,0 +1,108 @@
+"""The hand's surface as spheres, and where its parts are, for many hands at once."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from dgrasp.errors import DataError
+from dgrasp.hand.mano.skeleton import N_PARTS, PART_PARENT
+from dgrasp.hand.model import HandModel
+from dgrasp.types import Array
+from raisim_like.rotations import matrix_from_euler, matrix_from_quaternion
+from raisim_like.shapes import Shape
+
+CONTACT_DISTANCE = 0.015
+"""m. A part this close to the object should touch it (section 3.1, docs/deviations.md)."""
+
+_AXIS_SPACING = 0.004
+_FACE_SPACING = 0.015
+
+
+@dataclass(frozen=True)
+class HandSpheres:
+    """The hand's collision shapes as spheres: (P, 3) centres in their parts' frames, (P,) radii, (P,) parts."""
+
+    centers: Array
+    radii: Array
+    parts: Array
+
+    @classmethod
+    def of_hand(cls, hand: HandModel) -> HandSpheres:
+        """Capsules become spheres along their axes, boxes points on their faces, hulls their vertices (radius 0)."""
+        centers: list[Array] = []
+        radii: list[Array] = []
+        parts: list[Array] = []
+        for part in range(N_PARTS):
+            for shape in hand.urdf.links[int(hand.part_links[part])].shapes:
+                local, radius = _spheres(shape)
+                R = matrix_from_quaternion(np.array(shape.quaternion))
+                centers.append(local @ R.T + np.array(shape.position))
+                radii.append(np.full(len(local), radius))
+                parts.append(np.full(len(local), part))
+        if not centers:
+            raise DataError(f"hand {hand.id}: it has no collision shapes, so that nothing can be measured on them; "
+                            "expected one whose parts have some")
+        return cls(np.concatenate(centers), np.concatenate(radii), np.concatenate(parts))
+
+    def take(self, rows: Array) -> HandSpheres:
+        """The spheres of these rows (a mask)."""
+        return HandSpheres(self.centers[rows], self.radii[rows], self.parts[rows])
+
+    def place(self, R: Array, t: Array) -> Array:
+        """(N, P, 3) centres for part poses R (N, 16, 3, 3), t (N, 16, 3)."""
+        out = np.empty((len(R), len(self.radii), 3))
+        for part in range(N_PARTS):
+            mine = self.parts == part
+            out[:, mine] = np.matmul(self.centers[mine], np.swapaxes(R[:, part], 1, 2)) + t[:, part, None]
+        return out
+
+    def per_part(self, distances: Array) -> Array:
+        """(N, 16) smallest distance of each part's surface, from distances (N, P) of the centres."""
+        out = np.full((len(distances), N_PARTS), np.inf)
+        for part in range(N_PARTS):
+            mine = self.parts == part
+            if mine.any():
+                out[:, part] = (distances[:, mine] - self.radii[mine]).min(axis=1)
+        return out
+
+
+def _spheres(shape: Shape) -> tuple[Array, float]:
+    """Centres in the shape's frame, and their radius."""
+    if shape.kind == "capsule":
+        radius, length = shape.size
+        z = np.linspace(-length / 2, length / 2, max(2, int(np.ceil(length / _AXIS_SPACING)) + 1))
+        return np.stack([0 * z, 0 * z, z], axis=1), radius
+    if shape.kind == "hull":
+        import trimesh  # Late: it takes a second to import.
+
+        return np.array(trimesh.load_mesh(shape.file).vertices), 0.0
+    if shape.kind != "box":
+        raise DataError(f"a hand with a {shape.kind} as collision shape; expected capsules, boxes and hulls")
+    grids = [np.linspace(-s / 2, s / 2, max(2, int(np.ceil(s / _FACE_SPACING)) + 1)) for s in shape.size]
+    grid = np.stack(np.meshgrid(*grids, indexing="ij"), axis=-1).reshape(-1, 3)
+    on_face = (np.abs(grid) >= np.array(shape.size) / 2 - 1e-12).any(axis=1)
+    return grid[on_face], 0.0
+
+
+class Chain(Protocol):
+    """What the parts' poses need of a hand."""
+
+    @property
+    def offsets(self) -> Array:
+        """(16, 3) m: origin of each part in its parent part's frame."""
+
+
+def part_poses(hand: Chain, T_WH: Array, hand_pose: Array) -> tuple[Array, Array]:
+    """World rotations (N, 16, 3, 3) and origins (N, 16, 3) of the parts, for T_WH (N, 4, 4), hand_pose (N, 45)."""
+    n = len(T_WH)
+    turn = matrix_from_euler(hand_pose.reshape(n, N_PARTS - 1, 3))
+    R, t = np.empty((n, N_PARTS, 3, 3)), np.empty((n, N_PARTS, 3))
+    R[:, 0], t[:, 0] = T_WH[:, :3, :3], T_WH[:, :3, 3]
+    for part in range(1, N_PARTS):
+        parent = PART_PARENT[part]
+        t[:, part] = t[:, parent] + np.matmul(R[:, parent], hand.offsets[part])
+        R[:, part] = np.matmul(R[:, parent], turn[:, part - 1])
+    return R, t

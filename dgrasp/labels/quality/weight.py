@@ -1,0 +1,92 @@
+"""Whether a recorded grasp could carry its object: what touches too little of it, or at the wrong end, cannot."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from dgrasp.config.sections import PhysicsConfig
+from dgrasp.geometry.equilibrium import holds_weight
+from dgrasp.geometry.inside import inside_hull
+from dgrasp.geometry.intersection import Body
+from dgrasp.hand.model import HandModel
+from dgrasp.hand.spheres import HandSpheres, part_poses
+from dgrasp.types import Array, GraspLabel
+
+REACH = 0.010
+"""m by which a hand may still close: no recorded one touches the object everywhere that it holds it."""
+_SAMPLES = 8000
+_CONTACTS = 200
+"""Of them, evenly drawn, that the friction cones are laid at."""
+
+
+class Carrying:
+    """The weight test of labels on one hand. objects: surfaces in their frames; centers: (3,) of mass, there."""
+
+    def __init__(self, hand: HandModel, objects: Mapping[str, Body], centers: Mapping[str, Array]) -> None:
+        self._hand, self._spheres = hand, HandSpheres.of_hand(hand)
+        self._cores = _cores(self._spheres)
+        self._centers = centers
+        self._surfaces = {name: _samples(body) for name, body in objects.items()}
+
+    def carries(self, label: GraspLabel) -> bool:
+        """Whether forces where the hand is within `REACH` of the object, or inside, can balance its weight."""
+        points, normals = self._surfaces[label.object_id]
+        R, t = part_poses(self._hand, label.T_WH[None], label.hand_pose[None])
+        centers_O, cores_O = (
+            (places[0] - label.T_WO[:3, 3]) @ label.T_WO[:3, :3]
+            for places in (self._spheres.place(R, t), self._cores.place(R, t))
+        )
+        gaps, nearest = _gaps(points, centers_O, self._spheres.radii)
+        # A finger outside of a thin wall does not touch the wall's inner side.
+        facing = np.einsum("pi,pi->p", cores_O[nearest] - points, normals) > 0.0
+        near = np.flatnonzero(self._pressed(points, centers_O, gaps) | (facing & (gaps < REACH)))
+        near = near[np.linspace(0, len(near) - 1, min(len(near), _CONTACTS)).astype(int)]
+        return holds_weight(
+            points[near], normals[near], self._centers[label.object_id], label.T_WO[2, :3], PhysicsConfig().friction
+        )
+
+
+    def _pressed(self, points: Array, centers_O: Array, gaps: Array) -> Array:
+        """(P,) bool: which points of the surface are inside of the hand."""
+        inside = gaps < 0.0
+        for part in np.unique(self._spheres.parts):
+            # The points of boxes and hulls have no radius, but what is between them is the hand too.
+            own = centers_O[(self._spheres.parts == part) & (self._spheres.radii == 0.0)]
+            if len(own) > 3:
+                inside |= inside_hull(own, points)
+        return inside
+
+
+def _samples(body: Body) -> tuple[Array, Array]:
+    """Points all over the surface, (P, 3), and its outward normals there."""
+    import trimesh  # Late: it takes a second.
+
+    vertices, faces = body.surface()
+    mesh = trimesh.Trimesh(vertices, faces, process=False)
+    points, rows = trimesh.sample.sample_surface(mesh, _SAMPLES, seed=0)
+    return np.asarray(points), np.asarray(mesh.face_normals)[rows]
+
+
+def _cores(spheres: HandSpheres) -> HandSpheres:
+    """For each sphere the middle of what it is part of: its own, or for points of a box or hull their part's."""
+    centers = spheres.centers.copy()
+    for part in np.unique(spheres.parts):
+        own = (spheres.parts == part) & (spheres.radii == 0.0)
+        if own.any():
+            centers[own] = centers[own].mean(axis=0)
+    return HandSpheres(centers, spheres.radii, spheres.parts)
+
+
+def _gaps(points: Array, centers: Array, radii: Array) -> tuple[Array, Array]:
+    """(P,) m from points to the nearest of spheres, negative inside one, and (P,) which that is; inf beyond `REACH`."""
+    from scipy.spatial import cKDTree
+
+    gaps, nearest = np.full(len(points), np.inf), np.zeros(len(points), int)
+    for radius in np.unique(radii):
+        own = np.flatnonzero(radii == radius)
+        distance, found = cKDTree(centers[own]).query(points, distance_upper_bound=radius + REACH)
+        closer = np.flatnonzero(distance - radius < gaps)
+        gaps[closer], nearest[closer] = distance[closer] - radius, own[found[closer]]
+    return gaps, nearest

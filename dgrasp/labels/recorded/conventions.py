@@ -1,0 +1,185 @@
+"""What the numbers of a table of MANO parameters mean, where data sets differ: given, implied, or found by key points.
+
+Nothing is assumed: what neither the user says nor the data shows is an error that names the option.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from dgrasp.errors import DataError
+from dgrasp.hand.mano.model import ManoModel
+from dgrasp.hand.mano.params import ManoParams, hand_vertices, wrist_joints
+from dgrasp.hand.mano.pose import from_pca
+from dgrasp.hand.mano.skeleton import FINGERS, MANO_FINGERS
+from dgrasp.labels.formats import checks
+from dgrasp.labels.recorded.mano_table import ManoTable
+from dgrasp.types import Array
+from raisim_like.rotations import transform
+
+CHOICES: dict[str, tuple[str, ...]] = {
+    "pose": ("pca", "axis-angle"), "mean": ("flat", "mano"), "fingers": ("mano", "project"),
+    "transl": ("mano", "wrist"), "quaternion": ("wxyz", "xyzw"),
+}
+"""The open questions, each an option of that name, and their answers.
+
+pose: PCA coefficients or rotation vectors. mean: they count from the flat hand or from MANO's mean pose. fingers:
+index, middle, little, ring, thumb, or index, middle, ring, little, thumb. transl: MANO's translation of the mesh, or
+the wrist's position. quaternion: the order of `object_rotation`'s four numbers.
+"""
+FITS = 0.002
+"""m. Key points this close to those that a reading of the table gives confirm it."""
+COMPARED = 50
+"""Most rows whose key points are compared."""
+SAME = 1e-6
+"""m. Readings whose key points differ by less are one."""
+_FROM_PROJECT = [FINGERS.index(finger) for finger in MANO_FINGERS]
+Answers = dict[str, str]
+
+
+@dataclass(frozen=True, eq=False)
+class Grasps:
+    """Grasps of a table in its own frame A: T_AH (n, 4, 4), hand_pose (n, 45), T_AO (n, 4, 4), betas (n, S).
+
+    answers: per question the answer and whether it was given, implied or found.
+    """
+
+    T_AH: Array
+    hand_pose: Array
+    T_AO: Array
+    betas: Array
+    answers: Answers
+
+
+def read_grasps(table: ManoTable, model: ManoModel, given: Answers, mean_shape: bool, at_origin: bool) -> Grasps:
+    """The table's grasps, with the answers `given` and those that the data implies or shows.
+
+    mean_shape: the hands have MANO's mean shape and the table no betas. at_origin: the objects are at the origin and
+    the table has no poses of them. Raises `DataError` for what is missing, contradictory, or open.
+    """
+    n = len(table)
+    if mean_shape == ("betas" in table.values):
+        table.need("betas", "add them, or say --mean-shape")
+        raise DataError(f"{table.path}: has betas; expected no --mean-shape then")
+    betas = np.zeros((n, 1)) if mean_shape else table.values["betas"]
+    wrist_joints(model, betas)
+    implied = _implied(table)
+    for question, answer in implied.items():
+        if given.get(question, answer) != answer:
+            raise DataError(f"{table.path}: --{question} {given[question]} contradicts the data, which is {answer}")
+    T_AO = _objects(table, at_origin, given)
+    known = given | implied
+    chosen, found = _choose(table, model, betas, list(_readings(known)))
+    T_AH, hand_pose = _coordinates(table, model, betas, chosen, np.arange(n))
+    notes = {key: f"{value} ({'given' if key in given else 'implied' if key in implied else found})"
+             for key, value in chosen.items()}
+    if "quaternion" in given and table.values.get("object_rotation", np.zeros((0, 3))).shape[1] == 4:
+        notes["quaternion"] = f"{given['quaternion']} (given)"
+    return Grasps(T_AH, hand_pose, T_AO, betas, notes)
+
+
+def _implied(table: ManoTable) -> Answers:
+    """What the shapes of the data leave no choice about."""
+    pose = table.need("hand_pose", "give the finger pose")
+    if pose.shape[1] < 45:
+        return {"pose": "pca", "fingers": "mano"}
+    return {}
+
+
+def _readings(known: Answers) -> Iterator[Answers]:
+    """All answers to the questions about the hand that agree with what is known; PCA has MANO's order of fingers."""
+    questions = ("pose", "mean", "fingers", "transl")
+    for answers in itertools.product(*(CHOICES[q] if q not in known else (known[q],) for q in questions)):
+        reading = dict(zip(questions, answers, strict=True))
+        if reading["pose"] == "axis-angle" or reading["fingers"] == "mano":
+            yield reading
+
+
+def _coordinates(
+    table: ManoTable, model: ManoModel, betas: Array, answers: Answers, rows: Array
+) -> tuple[Array, Array]:
+    """T_AH (r, 4, 4) and hand_pose (r, 45) of these rows (r,) in one reading."""
+    orient = table.need("global_orient", "give the wrist's rotation vector")[rows]
+    transl = table.need("transl", "give the translation")[rows]
+    pose, betas = table.values["hand_pose"][rows], betas[rows]
+    if answers["pose"] == "pca":
+        vectors = from_pca(model, pose, flat_hand_mean=answers["mean"] == "flat")
+    else:
+        vectors = pose if answers["fingers"] == "mano" else pose.reshape(-1, 5, 9)[:, _FROM_PROJECT].reshape(-1, 45)
+        vectors = vectors + (model.hands_mean if answers["mean"] == "mano" else 0.0)
+    if answers["transl"] == "wrist":
+        transl = transl - wrist_joints(model, betas)
+    T_AH, hand_pose = ManoParams(orient, vectors, transl, betas).coordinates(model)
+    if "hand_transform" in table.values:
+        moves = table.values["hand_transform"][rows].reshape(-1, 4, 4)
+        checks.check_transforms(moves, "hand_transform", lambda row: f"{table.path}: row {rows[row]}")
+        T_AH = moves @ T_AH
+    return T_AH, hand_pose
+
+
+def _choose(table: ManoTable, model: ManoModel, betas: Array, options: list[Answers]) -> tuple[Answers, str]:
+    """The one of the readings that is left, and how it was found."""
+    if not options:
+        raise DataError(f"{table.path}: --pose pca and --fingers project contradict each other: PCA has MANO's order")
+    if len(options) == 1 and "joints" not in table.values:
+        return options[0], "implied"
+    unanswered = [q for q in ("pose", "mean", "fingers", "transl") if len({o[q] for o in options}) > 1]
+    ask = ", ".join(f"--{q} {'|'.join(CHOICES[q])}" for q in unanswered)
+    if "joints" not in table.values:
+        raise DataError(f"{table.path}: the table does not say what its numbers mean; give {ask}; or add the key "
+                        "points as `joints`, by which it is found")
+    rows = np.linspace(0, len(table) - 1, min(len(table), COMPARED)).astype(int)
+    given = table.values["joints"].reshape(len(table), -1, 3)[rows]
+    errors, points = [], []
+    for answers in options:
+        points.append(hand_vertices(model, betas[rows], *_coordinates(table, model, betas, answers, rows))[1])
+        # In whatever order the file has them: the tips, which data sets define differently, are left out.
+        joints = points[-1][:, [k for k in range(21) if k % 4 or k == 0]]
+        gaps = np.linalg.norm(joints[:, :, None] - given[:, None], axis=3).min(axis=2)
+        errors.append(float(gaps.max()))
+    best = int(np.argmin(errors))
+    if errors[best] > FITS:
+        asked = f"; the nearest reading is {options[best]}" if unanswered else ""
+        raise DataError(f"{table.path}: the key points `joints` lie up to {1000 * errors[best]:.1f} mm from the hands "
+                        f"that the parameters give{asked}; expected at most {1000 * FITS:g} mm; check the MANO file, "
+                        "betas, units and what was given")
+    rivals = [options[i] for i in range(len(options))
+              if errors[i] <= FITS and float(np.abs(points[i] - points[best]).max()) > SAME]
+    if rivals:
+        raise DataError(f"{table.path}: its key points fit several readings ({options[best]} and {rivals[0]}); give "
+                        f"{ask}")
+    return options[best], "found by the key points"
+
+
+def _objects(table: ManoTable, at_origin: bool, given: Answers) -> Array:
+    """T_AO (n, 4, 4)."""
+    there = [name for name in ("object_rotation", "object_translation") if name in table.values]
+    if at_origin:
+        if there:
+            raise DataError(f"{table.path}: has {', '.join(there)}; expected no --object-at-origin then")
+        return np.tile(np.eye(4), (len(table), 1, 1))
+    remedy = "add it, or say --object-at-origin"
+    rotation, place = (table.need(name, remedy) for name in ("object_rotation", "object_translation"))
+
+    def where(row: int) -> str:
+        return f"{table.path}: row {row}"
+
+    if rotation.shape[1] == 3:
+        R = Rotation.from_rotvec(rotation).as_matrix()
+    elif rotation.shape[1] == 4:
+        if "quaternion" not in given:
+            raise DataError(f"{table.path}: object_rotation has four numbers, in an order that it does not say; give "
+                            "--quaternion wxyz|xyzw")
+        order = [0, 1, 2, 3] if given["quaternion"] == "wxyz" else [3, 0, 1, 2]
+        rows = np.concatenate([np.zeros((len(table), 3)), rotation[:, order]], axis=1)
+        R = checks.poses_from_quaternions(rows, "object_rotation", where)[:, :3, :3]
+    else:
+        R = rotation.reshape(-1, 3, 3)
+    T_AO = transform(R, place)
+    checks.check_transforms(T_AO, "the object's pose", where)
+    return T_AO

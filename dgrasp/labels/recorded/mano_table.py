@@ -1,0 +1,182 @@
+"""Tables of MANO parameters and object poses: a .npz with one array per quantity, or a .csv with one column per number.
+
+Arrays and columns are named alike: `transl` (n, 3) is `transl_0`, `transl_1`, `transl_2` in a .csv. What a column means
+where data sets differ is asked for or found out in `dgrasp.labels.recorded.conventions`.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from dgrasp.errors import DataError
+from dgrasp.files.npz import open_npz
+from dgrasp.objects.names import resolve_object
+from dgrasp.types import Array
+
+MAX_BYTES = 16 * 2**20
+MAX_ROWS = 20_000
+WIDTHS: dict[str, tuple[int, ...]] = {
+    "params": (61,), "global_orient": (3,), "hand_pose": tuple(range(1, 46)), "transl": (3,),
+    "betas": tuple(range(1, 11)), "object_rotation": (3, 4, 9), "object_translation": (3,), "hand_transform": (16,),
+    "joints": tuple(range(48, 301, 3)),
+}
+"""The quantities and how many numbers each may have per row; matrices are row by row.
+
+`params` stands for betas 10, global_orient 3, hand_pose 45 and transl 3 in this order.
+"""
+_COLUMN = re.compile(r"([a-z_]+)_(\d{1,3})")
+_FORM = "expected arrays or columns object, betas, global_orient, hand_pose, transl, object_rotation, " \
+        "object_translation (docs/labels.md)"
+
+
+@dataclass(frozen=True, eq=False)
+class ManoTable:
+    """A table as it was read. values: quantity to (n, width) float64. objects (n,): names. n: rows."""
+
+    path: Path
+    values: dict[str, Array]
+    objects: list[str]
+
+    def __len__(self) -> int:
+        return len(self.objects)
+
+    def need(self, name: str, remedy: str) -> Array:
+        """The quantity `name`; a `DataError` with a remedy where the table lacks it."""
+        if name not in self.values:
+            raise DataError(f"{self.path}: no {name}; it has {', '.join(self.values) or 'nothing'}; {remedy}")
+        return self.values[name]
+
+
+def read_mano_table(path: Path, object_name: str | None = None) -> ManoTable:
+    """The table of a .npz or .csv file. object_name: of all rows where the file has no `object`.
+
+    Raises `DataError` naming the file and the quantity or line for anything that does not fit.
+    """
+    path = Path(path)
+    try:
+        with path.open("rb") as stream:
+            head = stream.read(2)
+    except OSError as error:
+        raise DataError(f"{path}: cannot be read ({error.strerror or error})") from None
+    values, names = _read_npz(path) if head == b"PK" else _read_csv(path)
+    rows = {name: len(array) for name, array in values.items()}
+    n = max(rows.values(), default=0)
+    if n == 0 or set(rows.values()) != {n}:
+        raise DataError(f"{path}: rows per quantity {rows}; expected the same number in each, at least 1; {_FORM}")
+    if "params" in values:
+        params = values.pop("params")
+        parts = {"betas": params[:, :10], "global_orient": params[:, 10:13], "hand_pose": params[:, 13:58],
+                 "transl": params[:, 58:]}
+        twice = sorted(set(parts) & set(values))
+        if twice:
+            raise DataError(f"{path}: params and besides {', '.join(twice)}; expected each quantity once")
+        values |= parts
+    if names is None:
+        if object_name is None:
+            raise DataError(f"{path}: no object; expected its names in a column `object`, or one for all with --object")
+        names = [object_name] * n
+    elif object_name is not None:
+        raise DataError(f"{path}: has a column `object`; expected no --object then")
+    if len(names) != n:
+        raise DataError(f"{path}: {len(names)} names of objects for {n} rows; expected one per row")
+    known: dict[str, str] = {}
+    for row, name in enumerate(names):
+        if name not in known:
+            try:
+                known[name] = resolve_object(name)
+            except DataError as error:
+                raise DataError(f"{path}: row {row}: {str(error)[:300]}") from None
+    return ManoTable(path, values, [known[name] for name in names])
+
+
+def _checked(path: Path, name: str, array: Array) -> Array:
+    """(n, width) float64 of one quantity."""
+    if array.ndim < 2 or array.ndim > 4 or len(array) > MAX_ROWS:
+        raise DataError(f"{path}: {name} has shape {array.shape}; expected (rows, numbers), at most {MAX_ROWS} rows")
+    if not len(array):
+        return np.zeros((0, 1))
+    flat = array.reshape(len(array), -1)
+    if flat.shape[1] not in WIDTHS[name]:
+        widths = WIDTHS[name]
+        wanted = " or ".join(map(str, widths)) if len(widths) < 4 else f"{widths[0]} to {widths[-1]}"
+        raise DataError(f"{path}: {name} has {flat.shape[1]} numbers per row; expected {wanted}")
+    flat = flat.astype(np.float64)
+    bad = np.flatnonzero(~(np.abs(flat) <= 1e4).all(axis=1))
+    if bad.size:
+        raise DataError(f"{path}: row {bad[0]}: {name} holds NaN, infinity or a number beyond 1e4; remove the row")
+    return flat
+
+
+def _read_npz(path: Path) -> tuple[dict[str, Array], list[str] | None]:
+    values: dict[str, Array] = {}
+    names = None
+    with open_npz(path, "table", MAX_BYTES) as archive:
+        for file in archive.names:
+            name = file.removesuffix(".npy")
+            if archive.names.count(file) > 1 or (name not in WIDTHS and name != "object") or name == file:
+                raise DataError(f"{path}: unknown or doubled member {file[:60]!r}; {_FORM}")
+            if name == "object":
+                array = archive.read(name, "Uiu")
+                if array.ndim != 1 or len(array) > MAX_ROWS or array.dtype.itemsize > 800:
+                    raise DataError(f"{path}: object has shape {array.shape} of {array.dtype.str[:20]}; expected one "
+                                    "name per row")
+                names = [str(value) for value in array]
+            else:
+                values[name] = _checked(path, name, archive.read(name, "biuf"))
+    return values, names
+
+
+def _read_csv(path: Path) -> tuple[dict[str, Array], list[str] | None]:
+    try:
+        if path.stat().st_size > MAX_BYTES:
+            raise DataError(f"{path}: {path.stat().st_size} bytes; a table has at most {MAX_BYTES}; split it")
+        text = path.read_text(encoding="utf-8-sig")
+        rows = csv.reader(io.StringIO(text, newline=""), strict=True)
+        header = [cell.strip() for cell in next(rows, [])]
+        where = _columns(path, header)
+        cells: list[list[float]] = []
+        names: list[str] = []
+        for row in rows:
+            if not row:
+                continue
+            if len(row) != len(header) or len(cells) >= MAX_ROWS:
+                raise DataError(f"{path}: line {rows.line_num}: {len(row)} cells; expected {len(header)} in each of at "
+                                f"most {MAX_ROWS} lines")
+            names.append(row[header.index("object")].strip() if "object" in header else "")
+            try:
+                cells.append([float(row[i]) for columns in where.values() for i in columns])
+            except ValueError as error:
+                raise DataError(f"{path}: line {rows.line_num}: {str(error)[:100]}; expected numbers") from None
+    except OSError as error:
+        raise DataError(f"{path}: cannot be read ({error.strerror or error})") from None
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise DataError(f"{path}: neither .npz nor .csv ({str(error)[:100]}); {_FORM}") from None
+    table = np.array(cells, dtype=np.float64).reshape(len(cells), sum(map(len, where.values())))
+    values, at = {}, 0
+    for name, columns in where.items():
+        values[name] = _checked(path, name, table[:, at : at + len(columns)])
+        at += len(columns)
+    return values, names if "object" in header else None
+
+
+def _columns(path: Path, header: list[str]) -> dict[str, list[int]]:
+    """The places of each quantity's columns, in the order of their numbers."""
+    found: dict[str, dict[int, int]] = {}
+    for place, cell in enumerate(header):
+        match = _COLUMN.fullmatch(cell)
+        if cell == "object" and header.count(cell) == 1:
+            continue
+        if match is None or match[1] not in WIDTHS or int(match[2]) in found.get(match[1], {}):
+            raise DataError(f"{path}: unknown or doubled column {cell[:60]!r}; {_FORM}, with numbers from 0, such as "
+                            "transl_0, transl_1, transl_2")
+        found.setdefault(match[1], {})[int(match[2])] = place
+    for name, places in found.items():
+        if sorted(places) != list(range(len(places))):
+            raise DataError(f"{path}: the columns of {name} are not numbered from 0 to {len(places) - 1}")
+    return {name: [places[i] for i in range(len(places))] for name, places in found.items()}

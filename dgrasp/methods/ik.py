@@ -1,0 +1,88 @@
+"""The baseline *+IK: the labels are corrected first, so that what should touch the object does; then PD holds them."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from dgrasp.env.goal import make_goal
+from dgrasp.geometry.intersection import Body
+from dgrasp.hand.inverse import fit_keypoints
+from dgrasp.hand.mano.skeleton import N_KEYPOINTS, N_PARTS
+from dgrasp.hand.model import HandModel
+from dgrasp.hand.spheres import CONTACT_DISTANCE
+from dgrasp.methods.pd import PdBaseline
+from dgrasp.objects.body import surface_points
+from dgrasp.types import Array, GraspLabel
+
+SPACING = 0.003
+"""m between the points that stand for an object's surface."""
+
+
+class IkBaseline(PdBaseline):
+    """Supplement, section B.4; what it leaves open, and how it was settled, stands in docs/metrics.md."""
+
+    name = "gt_ik"
+
+    def correct(
+        self, labels: Sequence[GraspLabel], hand: HandModel, objects: Mapping[str, Body]
+    ) -> list[GraspLabel]:
+        """The labels with wrist, finger angles and key points corrected; objects: bodies by name, in their frames O."""
+        return correct_labels(labels, hand, objects)
+
+
+def correct_labels(
+    labels: Sequence[GraspLabel], hand: HandModel, objects: Mapping[str, Body]
+) -> list[GraspLabel]:
+    """The labels with the key points of goal contacts drawn to the closest points of their object's surface.
+
+    The other key points are to stay, and so are the angles, weakly (`fit_keypoints`). Wrist and fingers move, the
+    object does not.
+    """
+    joints_O = make_goal(labels).joints_O
+    closest = closest_points(labels, joints_O, objects)
+    touching = contact_keypoints(
+        np.array([label.goal_contacts for label in labels], dtype=bool), np.linalg.norm(closest - joints_O, axis=2)
+    )
+    targets = np.where(touching[..., None], closest, joints_O)
+    T_WO = np.array([label.T_WO for label in labels])
+    T_OH = np.linalg.inv(T_WO) @ np.array([label.T_WH for label in labels])
+    fit = fit_keypoints(hand, T_OH, np.array([label.hand_pose for label in labels]), targets)
+    T_WH = T_WO @ fit.T_AH
+    joints_W = np.matmul(fit.joints, np.swapaxes(T_WO[:, :3, :3], 1, 2)) + T_WO[:, None, :3, 3]
+    return [
+        dataclasses.replace(label, hand_pose=fit.hand_pose[i], T_WH=T_WH[i], joints_W=joints_W[i])
+        for i, label in enumerate(labels)
+    ]
+
+
+def closest_points(labels: Sequence[GraspLabel], joints_O: Array, objects: Mapping[str, Body]) -> Array:
+    """(N, 21, 3) m: for key points (N, 21, 3) the closest points of the labels' objects, in O, `SPACING` apart."""
+    from scipy.spatial import cKDTree
+
+    closest = np.empty_like(joints_O)
+    names = np.array([label.object_id for label in labels])
+    for name in dict.fromkeys(names.tolist()):
+        mine = np.flatnonzero(names == name)
+        points = surface_points(objects[name], SPACING)
+        closest[mine] = points[cKDTree(points).query(joints_O[mine])[1]]
+    return closest
+
+
+def contact_keypoints(goal_contacts: Array, distances: Array) -> Array:
+    """(N, 21) bool: the key points that stand for goal contacts (N, 16), from their distances (N, 21) m to the object.
+
+    A finger part has the key point of its joint, the last one the fingertip too. Of a part that should touch, those
+    within 0.015 m count, which is how the authors' labels were made; the closer one where none is. The palm has none,
+    as the wrist is not where a palm touches.
+    """
+    chosen = np.zeros((len(goal_contacts), N_KEYPOINTS), bool)
+    for part in range(1, N_PARTS):
+        finger, segment = divmod(part - 1, 3)
+        own = np.arange(1 + 4 * finger + segment, 2 + 4 * finger + segment + (segment == 2))
+        near = distances[:, own] <= CONTACT_DISTANCE
+        nearest = distances[:, own] == distances[:, own].min(axis=1, keepdims=True)
+        chosen[:, own] = goal_contacts[:, part, None] & (near | (nearest & ~near.any(axis=1, keepdims=True)))
+    return chosen

@@ -1,0 +1,20 @@
+"""The baseline *+PD: hand and object start in the label's pose without a table, PD keeps it there."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from dgrasp.env.grasp_env import Mode
+from dgrasp.hand.mano.skeleton import N_DOF
+from dgrasp.types import Array
+
+
+class PdBaseline:
+    """Supplement, section B.4. The environment's mode "label" holds the pose, so the action is nothing."""
+
+    name = "gt_pd"
+    mode: Mode = "label"
+
+    def act(self, observation: Array) -> Array:
+        """Zeros (N, 51)."""
+        return np.zeros((len(observation), N_DOF), np.float32)

@@ -1,0 +1,231 @@
+"""A mesh file made into an object that can be grasped: repaired, fitted, weighed, pictured, and written to a folder.
+
+What costs time depends on the file's content and a few choices alone, and is kept in the user's cache under a hash of
+them: the same file is never computed twice, whatever its name, its folder and its mass.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import shutil
+import tempfile
+from contextlib import suppress
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from dgrasp.errors import DataError
+from dgrasp.files.atomic import write_atomic
+from dgrasp.files.paths import user_cache_root
+from dgrasp.objects import store
+from dgrasp.objects.add.fit import OVERLAP, Choice, fit_shapes, simplified
+from dgrasp.objects.add.mesh_reader import MeshFile, Units, read_mesh_file
+from dgrasp.objects.add.parts import obj_text
+from dgrasp.objects.add.picture import picture
+from dgrasp.objects.add.repair import repair
+from dgrasp.types import Array
+
+DENSITY = 500.0
+"""kg/m^3 where neither mass nor density is given: household objects are part hollow."""
+SURFACE_FACES = 20_000
+"""At most so many triangles are kept of a mesh."""
+_VERSION = 2
+"""Counts changes of what is made of the same file and choices."""
+_MADE = "made.json"
+_THIN = 2.0
+"""mm. A box thinner than this is remarked on: what is pressed hard goes through it."""
+_SHOWN = ("remarks", "faces", "bounds_m", "volume_m3", "kind", "overlap", "tried")
+
+
+@dataclass(frozen=True)
+class Mass:
+    """How an object is weighed: by `kg` or by `density` (kg/m^3).
+
+    center: (3,) m in O, and inertia: (3, 3) kg m^2 about it; None takes those of a homogeneous body.
+    """
+
+    kg: float | None = None
+    density: float = DENSITY
+    center: Array | None = None
+    inertia: Array | None = None
+
+
+@dataclass(frozen=True)
+class Added:
+    """An object's description (object.json), its folder, and whether nothing had to be computed."""
+
+    meta: dict[str, Any]
+    folder: Path
+    cached: bool
+
+
+def add_object(
+    file: Path, to: Path, name: str, units: Units = "auto", mass: Mass | None = None, choice: Choice = "auto",
+    threshold: float = OVERLAP, replace: bool = False,
+) -> Added:
+    """Make the object `name` of a mesh file, in the folder `to`/`name`.
+
+    units, choice, threshold: as `MeshFile.scaled` and `fit_shapes` take them. Raises `DataError` for a file that gives
+    no object, a mass that no body has, and a folder that holds another object unless `replace`.
+    """
+    mesh = read_mesh_file(file)
+    vertices, unit = mesh.scaled(units)
+    made, cached = _made(mesh, vertices, unit, choice, threshold)
+    meta = _describe(name, mesh, made, mass or Mass())
+    folder = Path(to) / name
+    if os.path.isfile(folder / store.META_FILE):
+        try:
+            before = store.read_meta(folder)
+        except DataError:
+            before = {}
+        if before.get("id") == meta["id"]:
+            return Added(before, folder, cached)
+    if os.path.lexists(folder) and not (replace and os.path.isfile(folder / store.META_FILE)):
+        raise DataError(f"{file}: {folder} exists already and is another object; choose another --name, or --replace "
+                        "it")
+    _write(folder, made[1], meta)
+    return Added(meta, folder, cached)
+
+
+def _key(mesh: MeshFile, unit: str, choice: str, threshold: float) -> str:
+    by = {"version": _VERSION, "libraries": [version(name) for name in ("trimesh", "manifold3d", "coacd")],
+          "file": mesh.sha256, "format": mesh.path.suffix.lower(), "units": unit, "shape": choice, "overlap": threshold}
+    return hashlib.sha256(json.dumps(by, sort_keys=True).encode()).hexdigest()[:24]
+
+
+Made = tuple[dict[str, Any], dict[str, bytes]]
+"""What was computed of a file: figures as plain values, and the files of the object by name."""
+
+
+def _made(mesh: MeshFile, vertices: Array, unit: str, choice: Choice, threshold: float) -> tuple[Made, bool]:
+    """From the cache, or made now and put there where it can be written."""
+    cache = user_cache_root() / "objects" / _key(mesh, unit, choice, threshold)
+    found = _load(cache)
+    if found is not None:
+        return found, True
+    try:
+        made = _make(mesh, vertices, unit, choice, threshold)
+    except DataError as error:
+        text = str(error)
+        raise DataError(text if text.startswith(str(mesh.path)) else f"{mesh.path}: {text}") from None
+    # A cache that cannot be written costs time the next time, nothing else.
+    with suppress(DataError):
+        for name, content in made[1].items():
+            write_atomic(cache / name, content)
+        digests = {name: hashlib.sha256(content).hexdigest() for name, content in made[1].items()}
+        write_atomic(cache / _MADE, json.dumps({"figures": made[0], "files": digests}, indent=1) + "\n")
+    return made, False
+
+
+def _load(cache: Path) -> Made | None:
+    """An entry of the cache; None where it is absent, incomplete or damaged."""
+    try:
+        entry = json.loads((cache / _MADE).read_text(encoding="utf-8"))
+        files = {name: (cache / name).read_bytes() for name in entry["files"]}
+        whole = all(hashlib.sha256(files[name]).hexdigest() == digest for name, digest in entry["files"].items())
+        return (entry["figures"], files) if whole else None
+    except (OSError, ValueError, LookupError, TypeError, AttributeError):
+        return None
+
+
+def _make(mesh: MeshFile, vertices: Array, unit: str, choice: Choice, threshold: float) -> Made:
+    import trimesh
+
+    solid = simplified(repair(vertices, mesh.faces), SURFACE_FACES)
+    points, faces = solid.mesh
+    whole = trimesh.Trimesh(points, faces, process=False)
+    volume = float(solid.solid.volume())
+    bounds = np.stack([points.min(axis=0), points.max(axis=0)])
+    if volume < 1e-9:
+        raise DataError(f"{volume * 1e9:.2g} mm3 in all; expected an object of at least 1 mm3; check the units")
+    with tempfile.TemporaryDirectory(prefix="dgrasp-") as temporary:
+        # The folder's name is what the convex decomposition calls the mesh.
+        folder = Path(temporary) / mesh.path.stem
+        write_atomic(folder / store.MESH_FILE, obj_text(points, faces))
+        fit = fit_shapes(solid, folder, choice, threshold)
+        title = f"{fit.kind}: {len(fit.shapes)}, overlap {fit.overlap:.2f}"
+        files = {store.MESH_FILE: (folder / store.MESH_FILE).read_bytes(),
+                 store.PICTURE_FILE: picture(folder / store.MESH_FILE, fit.shapes, bounds, (mesh.path.stem, title))}
+        shapes = []
+        for index, shape in enumerate(fit.shapes):
+            entry = store.plain_shape(shape)
+            if shape.file is not None:
+                content = shape.file.read_bytes()
+                # By its content, as PyBullet reads a name once: an object that is replaced is not the one before.
+                entry["file"] = f"{fit.kind}_{index:02d}_{hashlib.sha256(content).hexdigest()[:8]}.obj"
+                files[entry["file"]] = content
+            shapes.append(entry)
+    low, high = bounds.tolist()
+    side = 1000 * min(fit.shapes[0].size, default=np.inf)
+    thin = [f"only {side:.2g} mm thick"] if fit.kind == "box" and side < _THIN else []
+    return {
+        "units": unit, "remarks": [*solid.notes, *thin], "faces": len(faces), "bounds_m": [low, high],
+        "volume_m3": volume,
+        "center_m": np.asarray(whole.center_mass).tolist(),
+        "inertia_per_density": np.asarray((whole.moment_inertia + whole.moment_inertia.T) / 2).tolist(),
+        "kind": fit.kind, "overlap": fit.overlap, "tried": fit.tried, "shapes": shapes,
+    }, files  # fmt: skip
+
+
+def _describe(name: str, mesh: MeshFile, made: Made, mass: Mass) -> dict[str, Any]:
+    """The content of object.json."""
+    figures, files = made
+    volume = figures["volume_m3"]
+    kg = mass.density * volume if mass.kg is None else mass.kg
+    center = np.array(figures["center_m"]) if mass.center is None else mass.center
+    inertia = mass.inertia
+    if inertia is None:
+        with np.errstate(invalid="ignore"):  # Of an infinite mass; refused below.
+            inertia = np.array(figures["inertia_per_density"]) * kg / volume
+    try:
+        store.check_mass(kg, center, inertia)
+    except ValueError as error:
+        raise DataError(f"{mesh.path}: {error} (volume {volume * 1e6:.4g} cm3); state --mass or --density, and in "
+                        "the right units") from None
+    low, high = np.array(figures["bounds_m"])
+    if ((center < low) | (center > high)).any():
+        raise DataError(f"{mesh.path}: the centre of mass {center.tolist()} lies outside of the object, which reaches "
+                        f"from {low.round(4).tolist()} to {high.round(4).tolist()} m; state --center in m, in the "
+                        "mesh's frame")
+    body = {
+        "mass_kg": float(kg), "center_of_mass_O": center.tolist(), "inertia": inertia.tolist(),
+        "shapes": figures["shapes"],
+        "files": {file: hashlib.sha256(content).hexdigest() for file, content in sorted(files.items())},
+    }  # fmt: skip
+    return {
+        "format": store.FORMAT, "schema": store.SCHEMA, "name": name, "id": store.object_id({"name": name, **body}),
+        "source": {"file": mesh.path.name, "sha256": mesh.sha256, "units": figures["units"]},
+        "frame": "the file's own, in m", **body,
+        "figures": {key: figures[key] for key in _SHOWN},
+    }  # fmt: skip
+
+
+def _write(folder: Path, files: dict[str, bytes], meta: dict[str, Any]) -> None:
+    """The object's folder in one step; one that is there makes place."""
+    try:
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        fresh = Path(tempfile.mkdtemp(dir=folder.parent, prefix=f".{folder.name}."))
+    except OSError as error:
+        raise DataError(f"{folder}: cannot be written ({error.strerror or error})") from None
+    old = fresh.with_name(f"{fresh.name}.old")
+    try:
+        for name, content in files.items():
+            (fresh / name).write_bytes(content)
+        text = json.dumps(meta, indent=1) + "\n"
+        (fresh / store.META_FILE).write_text(text, encoding="utf-8", newline="\n")
+        os.chmod(fresh, 0o755)
+        if os.path.lexists(folder):
+            folder.rename(old)
+        fresh.rename(folder)
+    except OSError as error:
+        raise DataError(f"{folder}: cannot be written ({error.strerror or error})") from None
+    finally:
+        shutil.rmtree(fresh, ignore_errors=True)
+        if old.is_dir() and not os.path.lexists(folder):
+            old.rename(folder)  # Stopped between the two: what was there is there again.
+        shutil.rmtree(old, ignore_errors=True)

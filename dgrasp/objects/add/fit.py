@@ -1,0 +1,209 @@
+"""Which collision shape stands for a solid: a box, cylinder, sphere or capsule where one fits, else parts, else a mesh.
+
+How well a shape fits is its volume overlap with the solid, |A and B| / |A or B| (intersection over union), by booleans.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from scipy.optimize import minimize
+from scipy.spatial import QhullError
+
+from dgrasp.errors import DataError
+from dgrasp.files.atomic import write_atomic
+from dgrasp.geometry.approximate import fit_box, fit_capsule
+from dgrasp.geometry.inside import inner_points
+from dgrasp.geometry.intersection import body
+from dgrasp.geometry.part_mesh import PartMesh
+from dgrasp.geometry.shape_mesh import shape_mesh
+from dgrasp.objects.add.parts import convex_parts, obj_text
+from dgrasp.objects.add.repair import Solid
+from dgrasp.types import Array
+from raisim_like.rotations import quaternion_from_matrix
+from raisim_like.shapes import Shape
+from raisim_like.urdf import shape_pose
+
+Choice = Literal["auto", "box", "cylinder", "sphere", "capsule", "parts", "mesh"]
+PRIMITIVES = ("box", "cylinder", "sphere", "capsule")
+OVERLAP = 0.9
+"""Overlap from which a single primitive is taken."""
+PARTS_OVERLAP = 0.55
+"""Overlap from which convex parts are taken. Thin shells and bars are below it: their mesh collides then."""
+COLLISION_FILE = "collision.obj"
+COLLISION_FACES = 500
+"""So many triangles collide, or are cut into parts; more where a mesh of so few is no solid."""
+_FIT_FACES, _FIT_POINTS = 3000, 6000
+_EXACT = 0.998
+"""Overlap from which nothing better is looked for."""
+
+
+@dataclass(frozen=True)
+class Fit:
+    """The shapes that stand for a solid, in its frame. kind: of the choice. overlap: of their union with the solid.
+
+    tried: the overlap of everything that was tried, by kind.
+    """
+
+    kind: str
+    shapes: tuple[Shape, ...]
+    overlap: float
+    tried: dict[str, float]
+
+
+def fit_shapes(solid: Solid, folder: Path, choice: Choice = "auto", threshold: float = OVERLAP) -> Fit:
+    """The shapes for a solid; what needs a file is written to `folder`, or lies in the user's cache.
+
+    choice: "auto" takes the primitive of most overlap if that reaches `threshold`, else convex parts if they reach
+    `PARTS_OVERLAP`, else the decimated mesh; any other takes that kind. Raises `DataError` where that kind cannot be
+    fitted.
+    """
+    tried: dict[str, float] = {}
+    kinds = PRIMITIVES if choice == "auto" else (choice,) if choice in PRIMITIVES else ()
+    fits = {kind: made for kind in kinds if (made := fit_primitive(solid, kind)) is not None}
+    tried |= {kind: overlap for kind, (_, overlap) in fits.items()}
+    if fits:
+        best = max(fits, key=lambda kind: tried[kind])
+        if choice != "auto" or tried[best] >= threshold:
+            return Fit(best, (fits[best][0],), tried[best], tried)
+    elif kinds and choice != "auto":
+        raise DataError(f"no {choice} can be fitted, the solid is too thin; choose another --shape")
+    file = folder / COLLISION_FILE
+    write_atomic(file, obj_text(*_decimated(solid).mesh))
+    if choice != "mesh":
+        shapes = convex_parts(file)
+        tried["parts"] = union_overlap(solid, shapes)
+        if choice == "parts" or tried["parts"] >= PARTS_OVERLAP:
+            return Fit("parts", shapes, tried["parts"], tried)
+    shapes = (Shape("mesh", file=file),)
+    tried["mesh"] = union_overlap(solid, shapes)
+    return Fit("mesh", shapes, tried["mesh"], tried)
+
+
+def simplified(solid: Solid, faces: int) -> Solid:
+    """The solid with about `faces` triangles where its surface moves by less than a hundredth of its size for that."""
+    size = float(np.ptp(solid.mesh[0], axis=0).max())
+    made, tolerance = solid.solid, 1e-5 * size
+    while made.num_tri() > faces and tolerance <= 0.01 * size:
+        made = solid.solid.simplify(tolerance)
+        tolerance *= 2.0
+    return Solid(made, solid.notes)
+
+
+def _decimated(solid: Solid) -> Solid:
+    """The solid by quadric decimation, with `COLLISION_FACES` triangles or the next double of them that is a solid."""
+    import fast_simplification
+
+    vertices, faces = solid.mesh
+    count = COLLISION_FACES
+    while count < len(faces):
+        fewer = fast_simplification.simplify(vertices, faces, target_count=count)
+        with contextlib.suppress(DataError):
+            made = body([(fewer[0], fewer[1])])
+            if made.solid is not None and made.holes == 0:
+                return Solid(made.solid, solid.notes)
+        count *= 2
+    return solid
+
+
+def union_overlap(solid: Solid, shapes: Sequence[Shape]) -> float:
+    """Intersection over union of a solid and the union of shapes, 0 to 1; 0 where a shape is no solid."""
+    other = body([shape_mesh(shape) for shape in shapes]).solid
+    return 0.0 if other is None else _overlap(solid.solid, other)
+
+
+def _overlap(a: Any, b: Any) -> float:
+    common = float((a ^ b).volume())
+    # Surfaces that all but coincide cost booleans some digits.
+    return min(1.0, common / (float(a.volume()) + float(b.volume()) - common))
+
+
+def fit_primitive(solid: Solid, kind: str) -> tuple[Shape, float] | None:
+    """The primitive of most overlap and that overlap: the bounding one, or one fitted to points inside; or None."""
+    import trimesh
+
+    light = simplified(solid, _FIT_FACES)
+    vertices, faces = light.mesh
+    mesh = trimesh.Trimesh(vertices, faces, process=False)
+    part = PartMesh("object", vertices, faces)
+    # The bounding shape is exact for a solid that is such a shape; points that are counted are not.
+    starts: list[Shape] = []
+    with contextlib.suppress(QhullError, ValueError):  # Of solids nearly without a thickness.
+        starts = _bounding(kind, mesh)
+    rated = [(union_overlap(light, (shape,)), shape) for shape in starts]
+    if not rated or rated[0][0] < _EXACT:
+        if kind in ("box", "capsule"):
+            with contextlib.suppress(DataError):
+                found = fit_box(part) if kind == "box" else fit_capsule(part)
+                rated.append((union_overlap(light, (found.shape,)), found.shape))
+        elif kind == "cylinder" and starts:
+            climbed = _climbed_cylinder(starts[0], mesh)
+            rated.append((union_overlap(light, (climbed,)), climbed))
+    if not rated:
+        return None
+    best = max(rated, key=lambda entry: entry[0])[1]
+    return best, union_overlap(solid, (best,))
+
+
+def _bounding(kind: str, mesh: Any) -> list[Shape]:
+    """The shape around a mesh; of spheres the one of its volume at its centre; none of capsules."""
+    if kind == "box":
+        around = mesh.bounding_box_oriented.primitive
+        x, y, z = (float(v) for v in around.extents)
+        return [_placed("box", (x, y, z), around.transform)]
+    if kind == "cylinder":
+        around = mesh.bounding_cylinder.primitive
+        return [_placed("cylinder", (float(around.radius), float(around.height)), around.transform)]
+    if kind == "sphere":
+        T = np.eye(4)
+        T[:3, 3] = mesh.center_mass
+        return [_placed("sphere", (float(3.0 * mesh.volume / (4.0 * math.pi)) ** (1.0 / 3.0),), T)]
+    return []
+
+
+def _climbed_cylinder(start: Shape, mesh: Any) -> Shape:
+    """The cylinder near `start` that overlaps most, counted on points inside of the mesh."""
+    points = inner_points(np.asarray(mesh.vertices), np.asarray(mesh.faces), _FIT_POINTS)
+    if len(points) < 100:
+        return start
+    T, volume = shape_pose(start), float(mesh.volume)
+    local = (points - T[:3, 3]) @ T[:3, :3]
+
+    def cost(x: Array) -> float:
+        """Less the overlap, with the axis through x[:3] along (x[3], x[4], 1), radius x[5] and length x[6]."""
+        axis = np.array([x[3], x[4], 1.0]) / math.sqrt(1.0 + x[3] ** 2 + x[4] ** 2)
+        away = local - x[:3]
+        along = away @ axis
+        across = np.einsum("ij,ij->i", away, away) - along**2
+        inside = (np.abs(along) <= abs(x[6]) / 2) & (across <= x[5] ** 2)
+        common = volume * float(np.count_nonzero(inside)) / len(local)
+        return -common / (volume + math.pi * x[5] ** 2 * abs(x[6]) - common)
+
+    radius, length = start.size
+    x = _climb(cost, np.array([0, 0, 0, 0, 0, radius, length]), np.array([2e-3, 2e-3, 2e-3, 0.05, 0.05, -2e-3, -3e-3]))
+    axis = np.array([x[3], x[4], 1.0]) / math.sqrt(1.0 + x[3] ** 2 + x[4] ** 2)
+    side = np.cross([0.0, 1.0, 0.0], axis)
+    side /= np.linalg.norm(side)
+    turned = np.eye(4)
+    turned[:3, :3] = np.stack([side, np.cross(axis, side), axis], axis=1)
+    turned[:3, 3] = x[:3]
+    return _placed("cylinder", (max(abs(float(x[5])), 1e-4), max(abs(float(x[6])), 1e-4)), T @ turned)
+
+
+def _climb(cost: Callable[[Array], float], start: Array, steps: Array) -> Array:
+    simplex = np.vstack([start, start + np.diag(steps)])
+    found = minimize(cost, start, method="Nelder-Mead",
+                     options={"maxiter": 100 * len(start), "initial_simplex": simplex, "xatol": 1e-5, "fatol": 1e-5})
+    return np.asarray(found.x)
+
+
+def _placed(kind: Literal["box", "cylinder", "sphere"], size: tuple[float, ...], T: Array) -> Shape:
+    x, y, z = (float(v) for v in T[:3, 3])
+    a, b, c, d = (float(v) for v in quaternion_from_matrix(np.asarray(T[:3, :3])))
+    return Shape(kind, size, (x, y, z), (a, b, c, d))

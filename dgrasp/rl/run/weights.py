@@ -1,0 +1,92 @@
+"""A trained policy to give away: the actor's weights as safetensors, and what they were trained with.
+
+safetensors, because such a file holds numbers and text and nothing else, whoever it comes from.
+"""
+
+from __future__ import annotations
+
+import itertools
+import json
+from pathlib import Path
+from typing import Any
+
+import torch
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import save
+
+from dgrasp.errors import DataError
+from dgrasp.rl.networks import Policy, make_mlp
+from dgrasp.rl.run.checkpoint import Checkpoint, atomic_write_bytes
+
+SUFFIX = ".safetensors"
+FORMAT, SCHEMA = "dgrasp-policy", "1"
+MAX_BYTES = 64 * 2**20
+_SIZES = ("observation_size", "actor_size", "action_size")
+_SECTIONS = ("seed", "engine", "physics", "env", "ppo")
+"""What of the config is told: not where files lay on the machine that trained."""
+
+
+def write_weights(path: Path, checkpoint: Checkpoint) -> int:
+    """Write the policy of a checkpoint; returns the file's size in bytes."""
+    actor = {name: value.contiguous() for name, value in checkpoint.model.items() if name.startswith("actor.")}
+    about = {
+        "architecture": checkpoint.architecture,
+        "config": {key: checkpoint.config[key] for key in _SECTIONS if key in checkpoint.config},
+        "data": checkpoint.data,
+        "code": checkpoint.code,
+        "epoch": checkpoint.epoch,
+    }
+    content = save(actor, {"format": FORMAT, "schema": SCHEMA, "about": json.dumps(about, sort_keys=True)})
+    atomic_write_bytes(path, content)
+    return len(content)
+
+
+def read_weights(path: Path) -> tuple[Policy, dict[str, Any]]:
+    """The policy of such a file, and what it says of itself: architecture, config, data, code, epoch.
+
+    Raises `DataError` for a file that is missing, damaged, too large, or holds something else.
+    """
+    try:
+        size = path.stat().st_size
+    except OSError as error:
+        raise DataError(f"{path}: cannot read a policy ({error.strerror or error})") from None
+    if size > MAX_BYTES:
+        raise DataError(f"{path}: {size} bytes; a policy has at most {MAX_BYTES}")
+    try:
+        with safe_open(path, "pt") as file:
+            meta = file.metadata() or {}
+            if (meta.get("format"), meta.get("schema")) != (FORMAT, SCHEMA):
+                raise DataError(f"{path}: not a policy of this project (format {FORMAT!r}, schema {SCHEMA}); expected "
+                                "a file that `dgrasp publish` wrote with this version of the code")
+            about = json.loads(meta.get("about", ""))
+            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (it is no mapping)
+    except (SafetensorError, ValueError, RecursionError, OSError) as error:
+        reason = " ".join(str(error).split())[:120]
+        raise DataError(f"{path}: damaged or no policy ({reason}); take another file") from None
+    return _policy(tensors, about, path), about
+
+
+def _policy(tensors: dict[str, torch.Tensor], about: Any, path: Path) -> Policy:
+    observation, actor, action, *hidden = _sizes(about, path)
+    layers, expected = [actor, *hidden, action], dict[str, tuple[int, ...]]()
+    for i, (fan_in, fan_out) in enumerate(itertools.pairwise(layers)):
+        expected |= {f"actor.{2 * i}.weight": (fan_out, fan_in), f"actor.{2 * i}.bias": (fan_out,)}
+    if {name: tuple(value.shape) for name, value in tensors.items()} != expected:
+        raise DataError(f"{path}: its weights are not those of layers {layers}; take another file")
+    if not all(value.dtype == torch.float32 and bool(value.isfinite().all()) for value in tensors.values()):
+        raise DataError(f"{path}: a weight is not a finite float32 number; take another file")
+    network = make_mlp(layers)
+    network.load_state_dict({name.removeprefix("actor."): value for name, value in tensors.items()})
+    return Policy(network, observation, action, actor)
+
+
+def _sizes(about: Any, path: Path) -> list[int]:
+    """Numbers that the policy sees, that the actor sees of them, that it says, and the hidden layers' widths."""
+    try:
+        architecture, config = about["architecture"], about["config"]
+        sizes = [*(architecture[key] for key in _SIZES), *architecture["hidden"]]
+    except (KeyError, TypeError):
+        sizes, config = [], None
+    if not sizes or not all(type(size) is int and 0 < size <= 65536 for size in sizes) or not isinstance(config, dict):
+        raise DataError(f"{path}: it does not say what its weights are for; take another file")
+    return sizes

@@ -1,0 +1,56 @@
+"""What follows from a state and a goal, for features, rewards and controllers alike (supplement, A.1 and A.2)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from dgrasp.types import Array, GraspGoal, SceneState
+from raisim_like.rotations import euler_from_matrix, matrix_from_euler, rotate, rotation_vector
+
+
+@dataclass
+class Relations:
+    """What features and rewards share about N states, computed once per control step.
+
+    joint_position_error_H: (N, 21, 3), goal minus current key points, in the wrist frame (g_x).
+    pose_error: (N, 48), wrist Euler angles in the object frame, then finger angles; goal minus current (g_q).
+    """
+
+    joint_position_error_H: Array
+    pose_error: Array
+
+
+def relations(state: SceneState, goal: GraspGoal) -> Relations:
+    """g_x and g_q (supplement, A.1)."""
+    n = len(state.gc)
+    target_W = state.object_pos_W[:, None] + np.matmul(goal.joints_O, np.swapaxes(state.R_WO, 1, 2))
+    error_H = np.matmul(target_W - state.joints_W, state.R_WH)
+    pose = np.empty((n, 48))
+    R_OH = np.matmul(np.swapaxes(state.R_WO, 1, 2), state.R_WH)
+    pose[:, :3] = goal.wrist_euler_O - euler_from_matrix(R_OH)
+    pose[:, 3:] = goal.hand_pose - state.gc[:, 6:]
+    return Relations(error_H, pose)
+
+
+def target_turn_W(state: SceneState) -> Array:
+    """(N, 3) rad: the rotation vector that turns the object's target to where the object is (g_o,q)."""
+    return rotation_vector(np.matmul(state.R_WO, np.swapaxes(state.R_WG, 1, 2)))
+
+
+def wrist_angvel_W(state: SceneState) -> Array:
+    """(N, 3) rad/s: the wrist's angular velocity, from the rates of its intrinsic XYZ Euler angles."""
+    angles, rates = state.gc[:, 3:6], state.gv[:, 3:6]
+    zero = np.zeros(len(angles))
+    R_X = matrix_from_euler(np.stack([angles[:, 0], zero, zero], axis=1))
+    R_XY = matrix_from_euler(np.stack([angles[:, 0], angles[:, 1], zero], axis=1))
+    # Each joint turns about its own axis, as the joints before it have turned that.
+    omega_H0 = R_X[:, :, 1] * rates[:, 1:2] + R_XY[:, :, 2] * rates[:, 2:3]
+    omega_H0[:, 0] += rates[:, 0]
+    return rotate(state.R_WH0, omega_H0)
+
+
+def goal_wrist_position_W(state: SceneState, goal: GraspGoal) -> Array:
+    """(N, 3): where the label's wrist would be, given where the object is now."""
+    return state.object_pos_W + rotate(state.R_WO, goal.joints_O[:, 0])

@@ -1,0 +1,79 @@
+"""Where the approach to a synthesised grasp begins: the wrist drawn back, the fingers opened, nothing in the way."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from dgrasp.hand.motions import MOTIONS
+from dgrasp.scene.scene import TABLE_TOP
+from dgrasp.synthesis.energy import Grasps
+from dgrasp.synthesis.start import Setting
+from dgrasp.synthesis.torch_hand import TorchHand, tensor
+from dgrasp.types import Array, StartPose
+from raisim_like.rotations import matrix_from_euler, transform
+
+DRAWN_BACK = (0.03, 0.08)
+"""m between the wrist at the start and at the grasp, as in the recorded labels of the paper (0.03 to 0.06 there)."""
+START_CLEARANCE, PATH_CLEARANCE = 0.005, 0.0
+"""m between the hand and object or table at the start, and on the way."""
+OPENED_DEG = (15.0, 25.0, 35.0, 45.0)
+"""By how much all flexions may be undone at the start; the least that lets the hand pass is taken."""
+_START_TURN, _DRAWS = 0.12, 8
+_FLEXIONS = np.array([not name.endswith(("spread", "twist", "lift")) for name in MOTIONS])
+
+
+@torch.no_grad()
+def free_starts(
+    hand: TorchHand, setting: Setting, grasps: Grasps, rest: Array, T_WO: Array, rng: np.random.Generator
+) -> tuple[list[StartPose], Array]:
+    """A start per grasp, and (N,) whether it and the straight way from it are free.
+
+    rest, T_WO (N, 4, 4): the object before and at the grasp. The way is that of a hand which neither turns nor closes,
+    as guidance of the wrist's position alone moves it: on another way fingers would hang on the object's edges.
+    """
+    n = len(grasps)
+    T_WH = T_WO @ transform(grasps.R.numpy().astype(float), grasps.t.numpy().astype(float))
+    # Away from what is held: from the middle of the fingers' tips to the wrist.
+    tips = hand.tips(hand.forward(grasps.R, grasps.t, grasps.pose(hand))).mean(1)
+    away = np.matmul(T_WO[:, :3, :3], (grasps.t - tips).numpy()[..., None])[..., 0]
+    away /= np.linalg.norm(away, axis=1, keepdims=True)
+    starts, poses, done = T_WH.copy(), np.zeros((n, 45)), np.zeros(n, bool)
+    for angle in np.radians(OPENED_DEG):
+        pose = hand.clipped(hand.pose(grasps.motions - tensor(angle * _FLEXIONS)))
+        for _ in range(_DRAWS):
+            back = away + rng.normal(0.0, 0.25, (n, 3))
+            back[:, 2] += rng.uniform(0.0, 0.8, n)
+            back *= rng.uniform(*DRAWN_BACK, (n, 1)) / np.linalg.norm(back, axis=1, keepdims=True)
+            start = T_WH.copy()
+            start[:, :3, 3] += back
+            start[:, :3, :3] = start[:, :3, :3] @ matrix_from_euler(rng.uniform(-_START_TURN, _START_TURN, (n, 3)))
+            free = ~done & (clearance(hand, setting, rest, start, pose) > START_CLEARANCE)
+            for share in (0.25, 0.5, 0.75, 1.0):
+                rows = np.flatnonzero(free)
+                way = start[rows]
+                way[:, :3, 3] -= share * back[rows]
+                free[rows] = clearance(hand, setting, rest[rows], way, pose[rows]) > PATH_CLEARANCE
+            starts[free], poses[free] = start[free], pose.numpy()[free]
+            done |= free
+    poses = np.clip(poses, *hand.model.limits[6:].T)
+    starts[:, :3, :3] = orthonormal(starts[:, :3, :3])
+    return [StartPose(starts[i], rest[i], poses[i]) for i in range(n)], done
+
+
+def clearance(hand: TorchHand, setting: Setting, T_WO: Array, T_WH: Array, pose: Tensor) -> Array:
+    """(N,) m between the hand, pose (N, 45), and the object or the table, whichever is nearer; negative where they
+    overlap."""
+    T_OH = np.linalg.inv(T_WO) @ T_WH
+    centers = hand.forward(tensor(T_OH[:, :3, :3]), tensor(T_OH[:, :3, 3]), pose).centers
+    distance = setting.field.distance(centers) - hand.radii
+    up, over = tensor(T_WO[:, 2, :3]), tensor(T_WO[:, 2, 3] - TABLE_TOP)
+    height = (centers @ up[..., None])[..., 0] + over[:, None] - hand.radii
+    return np.asarray(torch.minimum(distance, height).amin(1).numpy())
+
+
+def orthonormal(R: Array) -> Array:
+    """The nearest rotations to matrices (N, 3, 3), which float32 left a little off."""
+    u, _, v = np.linalg.svd(R)
+    return np.asarray(u @ v)

@@ -1,0 +1,182 @@
+"""Where the descent begins: open hands before an object at rest, thumb and fingers on its opposite sides."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+
+from dgrasp.errors import ConfigError
+from dgrasp.geometry.intersection import Body
+from dgrasp.hand.mano.skeleton import N_PARTS, PARTS
+from dgrasp.hand.motions import MOTIONS
+from dgrasp.objects.free import shape_bounds
+from dgrasp.objects.model import ObjectModel
+from dgrasp.objects.names import YCB_NAMES
+from dgrasp.objects.resting import resting_rotations
+from dgrasp.scene.free_rest import PLACE_XY, place_at_rest
+from dgrasp.scene.scene import TABLE_TOP
+from dgrasp.synthesis.energy import Grasps, unnatural
+from dgrasp.synthesis.torch_hand import ObjectField, TorchHand, tensor
+from dgrasp.types import Array
+from raisim_like.rotations import matrix_from_rotation_vector, transform
+
+LIFT = 0.005
+"""m. At the grasp the object is up to this high above its place at rest, as where a hand has just moved it."""
+_WIDEST = 0.10
+_STEP = 0.002
+_TILT = 0.2
+"""Standard deviation, rad, of the hand's opposing sides about the object's."""
+_CANDIDATES = 24
+"""Random hands of which the best one begins."""
+_FINGER_SETS = ((0, 1), (0, 1, 2), (0, 1, 2, 3))
+_POWER_SHARE, _PALM_SHARE = 0.5, 0.4
+"""How often the fingers' middle parts are to touch too, and how often the palm with them."""
+
+
+@dataclass(frozen=True, eq=False)
+class Setting:
+    """One object that grasps are made for. body: its collision shapes' surface in O."""
+
+    model: ObjectModel
+    body: Body
+    field: ObjectField
+
+
+def rest_poses(setting: Setting, rng: np.random.Generator, n: int) -> Array:
+    """(n, 4, 4) T_WO of the object at rest on the table, each at a random place and yaw."""
+    model = setting.model
+    if model.name in YCB_NAMES.values() and _is_primitive(model):
+        return place_at_rest(model, rng, n)
+    vertices = setting.body.vertices
+    downs, share = resting_rotations(vertices, model.center_of_mass_O)
+    R = downs[rng.choice(len(downs), size=n, p=share)]
+    R = matrix_from_rotation_vector(rng.uniform(-np.pi, np.pi, (n, 1)) * np.array([0.0, 0.0, 1.0])) @ R
+    height = TABLE_TOP - (R[:, 2] @ vertices.T).min(axis=1)
+    return transform(R, np.concatenate([rng.uniform(*PLACE_XY, (n, 2)), height[:, None]], axis=1))
+
+
+def _is_primitive(model: ObjectModel) -> bool:
+    try:
+        shape_bounds(model.shapes)
+    except ValueError:
+        return False
+    return True
+
+
+def propose(
+    hand: TorchHand, setting: Setting, T_WO: Array, rng: np.random.Generator, thumb_side: float = 1.0
+) -> Grasps:
+    """One hand per object pose (B, 4, 4): of some random ones that which penetrates object and table least."""
+    n = len(T_WO) * _CANDIDATES
+    R_WO = np.repeat(T_WO[:, :3, :3], _CANDIDATES, axis=0)
+    middle, across = _opposite_sides(setting, rng, n)
+    motions = _opened(hand, rng, n)
+    with torch.no_grad():
+        flat = hand.forward(torch.eye(3).expand(n, 3, 3), torch.zeros(n, 3), hand.pose(tensor(motions)))
+        tips = hand.tips(flat).numpy().astype(float)
+        palm_H = _pad_center(hand)
+    fingers = tips[:, :3].mean(axis=1)
+    opposing = _unit(fingers - tips[:, 4])
+    # What the hand holds lies between thumb and fingers, somewhat towards the palm.
+    held = 0.5 * (fingers + tips[:, 4])
+    held += rng.uniform(0.0, 0.45, (n, 1)) * (palm_H - held)
+    ahead = _unit(held - _along(held, opposing))
+    across = _unit(across + _TILT * rng.normal(size=(n, 3)))
+    towards_O = _approaches(R_WO, across, rng)
+    R_OH = _frame(across, towards_O) @ np.swapaxes(_frame(opposing, ahead), 1, 2)
+    t_OH = middle - np.matmul(R_OH, held[..., None])[..., 0]
+    up = R_WO[:, 2]
+    over = np.repeat(T_WO[:, 2, 3] - TABLE_TOP, _CANDIDATES)
+    grasps = Grasps(tensor(R_OH), tensor(t_OH), tensor(motions), torch.zeros(n, N_PARTS, dtype=torch.bool),
+                    tensor(up), tensor(over), torch.zeros(n, 45, dtype=torch.bool), torch.zeros(n, 45))  # fmt: skip
+    with torch.no_grad():
+        centers = hand.forward(grasps.R, grasps.t, hand.pose(grasps.motions)).centers
+        depth = torch.relu(hand.radii - setting.field.distance(centers)).sum(1)
+        sunk = torch.relu(hand.radii - grasps.over[:, None] - (centers @ grasps.up[..., None])[..., 0]).sum(1)
+        turned = unnatural(hand, grasps.R, grasps.up, thumb_side).sum(1)
+    cost = (depth + 2.0 * sunk + turned).numpy()
+    best = cost.reshape(-1, _CANDIDATES).argmin(axis=1) + np.arange(len(T_WO)) * _CANDIDATES
+    chosen = grasps.take(torch.as_tensor(best))
+    chosen.wanted[:] = torch.as_tensor(_wanted(rng, len(T_WO)))
+    return chosen
+
+
+def _wanted(rng: np.random.Generator, n: int) -> Array:
+    """(n, 16) bool: the thumb's tip and those of two to four fingers, often more of them, sometimes the palm."""
+    wanted = np.zeros((n, N_PARTS), bool)
+    wanted[:, PARTS.index("thumb_distal")] = True
+    for row in wanted:
+        chosen = _FINGER_SETS[rng.integers(len(_FINGER_SETS))]
+        power = rng.uniform() < _POWER_SHARE
+        for finger in chosen:
+            row[3 + 3 * finger] = True
+            row[2 + 3 * finger] |= power
+        row[0] = power and rng.uniform() < _PALM_SHARE
+    return wanted
+
+
+def _opened(hand: TorchHand, rng: np.random.Generator, n: int) -> Array:
+    """(n, 21) motions drawn from the prior and opened."""
+    prior = hand.motions
+    motions = prior.mean + 0.7 * rng.normal(size=(n, len(MOTIONS))) @ prior.factor.T
+    flexions = np.array([not name.endswith(("spread", "twist", "lift")) for name in MOTIONS])
+    motions[:, flexions] -= np.radians(rng.uniform(0.0, 25.0, (n, 1)))
+    return np.asarray(motions)
+
+
+def _pad_center(hand: TorchHand) -> Array:
+    """(3,) m: a point before the palm, in the wrist frame."""
+    return np.asarray(0.8 * hand.knuckles + 0.04 * hand.motions.palmar[0])
+
+
+def _opposite_sides(setting: Setting, rng: np.random.Generator, n: int) -> tuple[Array, Array]:
+    """Middles (n, 3) and directions (n, 3) of chords through the object from random points of its surface, along the
+    normal there, as long as a hand is wide at most."""
+    vertices, faces = setting.body.surface()
+    a, b, c = vertices[faces].transpose(1, 0, 2)
+    normals = np.cross(b - a, c - a)
+    area = np.linalg.norm(normals, axis=1)
+    drawn = 3 * n
+    face = rng.choice(len(faces), size=drawn, p=area / area.sum())
+    u, v = np.sqrt(rng.uniform(size=(drawn, 1))), rng.uniform(size=(drawn, 1))
+    start = (1.0 - u) * a[face] + u * (1.0 - v) * b[face] + u * v * c[face]
+    inwards = -normals[face] / area[face, None]
+    lengths = np.arange(_STEP, _WIDEST + _STEP, _STEP)
+    with torch.no_grad():
+        along = tensor(start)[:, None] + tensor(inwards)[:, None] * tensor(lengths)[None, :, None]
+        outside = setting.field.distance(along).numpy() > 0.0
+    found = np.flatnonzero(outside[:, 1:].any(axis=1))
+    if not len(found):
+        raise ConfigError(f"{setting.model.name}: nowhere thinner than {100 * _WIDEST:.0f} cm; a hand cannot span it")
+    chosen = found[rng.integers(len(found), size=n)]
+    width = lengths[1:][outside[chosen, 1:].argmax(axis=1)]
+    return start[chosen] + 0.5 * width[:, None] * inwards[chosen], inwards[chosen]
+
+
+def _approaches(R_WO: Array, across: Array, rng: np.random.Generator) -> Array:
+    """(n, 3) unit vectors in O along which the hand comes: level or from above, and square to `across` (n, 3)."""
+    n = len(across)
+    across_W = np.matmul(R_WO, across[..., None])[..., 0]
+    azimuth, down = rng.uniform(-np.pi, np.pi, n), np.arcsin(rng.uniform(-0.1, 1.0, n))
+    towards = np.stack([np.cos(down) * np.cos(azimuth), np.cos(down) * np.sin(azimuth), -np.sin(down)], axis=1)
+    towards = towards - _along(towards, across_W)
+    # What is left of it may point up.
+    towards[towards[:, 2] > 0.1] *= -1.0
+    return _unit(np.matmul(np.swapaxes(R_WO, 1, 2), towards[..., None])[..., 0])
+
+
+def _frame(first: Array, second: Array) -> Array:
+    """(n, 3, 3) rotations whose first columns are `first`, their second ones in its plane with `second`."""
+    x = _unit(first)
+    y = _unit(second - _along(second, x))
+    return np.stack([x, y, np.cross(x, y)], axis=2)
+
+
+def _along(vectors: Array, axes: Array) -> Array:
+    return np.asarray((vectors * axes).sum(axis=1, keepdims=True) * axes)
+
+
+def _unit(vectors: Array) -> Array:
+    return np.asarray(vectors / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-9))

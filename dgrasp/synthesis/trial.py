@@ -1,0 +1,48 @@
+"""Grasps tried in physics: whether a hand that keeps the label's pose holds the object."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from dgrasp.config.experiment import Config
+from dgrasp.env.grasp_env import GraspEnv
+from dgrasp.eval.metrics import FALLEN_HEIGHT
+from dgrasp.hand.mano.skeleton import N_DOF
+from dgrasp.hand.model import HandModel
+from dgrasp.objects.model import ObjectModel
+from dgrasp.types import Array, GraspLabel
+
+AT_ONCE = 576
+"""Worlds in one process. PyBullet has no more than 1024."""
+
+
+def gt_pd_holds(labels: list[GraspLabel], hand: HandModel, model: ObjectModel, config: Config) -> Array:
+    """(N,) bool: success of the baseline gt_pd: the object stays in the hand for the test's window."""
+    parts = [labels[i : i + AT_ONCE] for i in range(0, len(labels), AT_ONCE)]
+    return np.concatenate([_some_hold(part, hand, model, config) for part in parts])
+
+
+def _some_hold(labels: list[GraspLabel], hand: HandModel, model: ObjectModel, config: Config) -> Array:
+    env = GraspEnv(labels, hand, {model.name: model}, config)
+    env.reset(mode="label")
+    still = np.zeros((len(labels), N_DOF))
+    holds = outlasts_window(env, lambda: still)
+    env.close()
+    return holds
+
+
+def outlasts_window(env: GraspEnv, actions: Callable[[], Array]) -> Array:
+    """(N,) bool: who holds the object without a table for the test's window, under actions (N, A) of each step."""
+    left = np.zeros(env.num_envs, bool)
+    for _ in range(round(env.config.eval.window_s / env.config.control_period)):
+        env.step(actions())
+        # What has fallen needs no more physics.
+        fallen = env.s.table_contact.astype(bool) | (env.s.object_pos_W[:, 2] <= FALLEN_HEIGHT)
+        left |= env.alive & fallen
+        env.alive &= ~fallen
+    holds = env.alive.copy()
+    # Who was left alone is whole, unlike who broke: the next reset need not make its world anew.
+    env.alive |= left
+    return holds

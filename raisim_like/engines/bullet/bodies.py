@@ -1,0 +1,106 @@
+"""Bodies and articulated systems made in a PyBullet client, without the damping that Bullet gives them."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from collections.abc import Sequence
+from typing import Any
+
+from raisim_like.engines.body_frame import BodyFrame
+from raisim_like.engines.bullet.quiet_pybullet import pybullet as p
+from raisim_like.engines.bullet.shapes import SHAPE_TYPES, collision_filter, geometry, xyzw
+from raisim_like.engines.bullet.urdf import compound_urdf, normalised_urdf
+from raisim_like.errors import EngineError
+from raisim_like.rotations import quaternion_from_matrix
+from raisim_like.shapes import Shape
+from raisim_like.urdf import UrdfModel
+
+
+def make_body(client: int, shapes: Sequence[Shape], mass: float, frame: BodyFrame, collision_mask: int) -> int:
+    """A rigid body, whose Bullet frame is `frame`'s inertial frame; mass 0 makes it static."""
+    if not shapes:
+        raise EngineError("a body needs at least one shape")
+    for shape in shapes:
+        if shape.kind in ("mesh", "hull") and (shape.file is None or not shape.file.is_file()):
+            raise EngineError(f"mesh file {shape.file} does not exist")
+    if len(shapes) == 1:
+        uid = p.createMultiBody(
+            baseMass=float(mass),
+            baseCollisionShapeIndex=_collision_shape(client, shapes[0]),
+            baseInertialFramePosition=[float(v) for v in frame.com],
+            baseInertialFrameOrientation=xyzw(quaternion_from_matrix(frame.axes)),
+            physicsClientId=client,
+        )
+    else:
+        # A URDF, for PyBullet's arrays of shapes overflow beyond 16 parts without a word.
+        text = compound_urdf(shapes, mass, frame.com, frame.axes)
+        uid = _load(client, text, p.URDF_USE_INERTIA_FROM_FILE, fixed=False)
+    if uid < 0:
+        raise EngineError("PyBullet refused the body")
+    if mass > 0:
+        _undamp(client, uid, -1, localInertiaDiagonal=[float(v) for v in frame.moments])
+    p.setCollisionFilterGroupMask(uid, -1, *collision_filter(collision_mask), physicsClientId=client)
+    return int(uid)
+
+
+def make_articulated(
+    client: int, model: UrdfModel, collision_mask: int, self_collision: bool, enforce_limits: bool
+) -> int:
+    """An articulated system on a fixed base, its links in the order of `model`."""
+    flags = p.URDF_USE_INERTIA_FROM_FILE
+    if self_collision:
+        flags |= p.URDF_USE_SELF_COLLISION | p.URDF_USE_SELF_COLLISION_EXCLUDE_ALL_PARENTS
+    uid = _load(client, normalised_urdf(model, enforce_limits), flags, fixed=True)
+    joints = range(p.getNumJoints(uid, physicsClientId=client))
+    names = [p.getJointInfo(uid, i, physicsClientId=client)[1].decode() for i in joints]
+    if names != list(model.joint_names):
+        raise EngineError(f"PyBullet ordered the joints of {model.path} as {names}")
+    for link in range(-1, model.dof):
+        _undamp(client, uid, link, jointDamping=0.0)
+        p.setCollisionFilterGroupMask(uid, link, *collision_filter(collision_mask), physicsClientId=client)
+    return uid
+
+
+def _undamp(client: int, uid: int, link: int, **also: Any) -> None:
+    p.changeDynamics(
+        uid,
+        link,
+        linearDamping=0.0,
+        angularDamping=0.0,
+        rollingFriction=0.0,
+        spinningFriction=0.0,
+        restitution=0.0,
+        activationState=p.ACTIVATION_STATE_DISABLE_SLEEPING,
+        physicsClientId=client,
+        **also,
+    )
+
+
+def _collision_shape(client: int, shape: Shape) -> int:
+    try:
+        index = p.createCollisionShape(
+            SHAPE_TYPES[shape.kind],
+            collisionFramePosition=list(shape.position),
+            collisionFrameOrientation=xyzw(shape.quaternion),
+            physicsClientId=client,
+            **geometry(shape),
+        )
+    except p.error as error:
+        raise EngineError(f"PyBullet refused the collision shape {shape}: {error}") from None
+    if index < 0:
+        raise EngineError(f"PyBullet refused the collision shape {shape}")
+    return int(index)
+
+
+def _load(client: int, text: str, flags: int, fixed: bool) -> int:
+    """Load a URDF given as text; the world keeps no file."""
+    handle, path = tempfile.mkstemp(suffix=".urdf")
+    try:
+        with os.fdopen(handle, "w", encoding="utf-8") as stream:
+            stream.write(text)
+        return int(p.loadURDF(path, useFixedBase=int(fixed), flags=flags, physicsClientId=client))
+    except p.error as error:
+        raise EngineError(f"PyBullet could not load a body: {error}") from None
+    finally:
+        os.unlink(path)

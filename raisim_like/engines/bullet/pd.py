@@ -1,0 +1,237 @@
+"""PD control for PyBullet that feels like RaiSim's implicit PD (derivation in docs/physics.md).
+
+RaiSim integrates the PD law inside its contact solver, so a contact feels the inertia
+M + dt D + dt^2 K: for a finger joint that is 3e-3 kg m^2, a hundred times the finger itself. Bullet has no
+such term. The law here simulates a hand with inflated link inertias (mass matrix Mb) and adds the torque
+that makes it move as the light hand (mass matrix Mr) would under implicit PD:
+
+    Mh = Mr + dt D',  D' = kd + damping + dt kp        inertia and damping of the implicit law
+    a  = Mh^-1 (kp (q* - q) + ff + h - D' v)           what the light hand would do
+    tau = Mb a - h
+    h  += beta (Mb (v+ - v) / dt - tau - h)            observer of contact, limit and gravity forces
+
+With h exact, Mb a = tau + h: the implicit law with every outside force acting on Mh. The observer's lag is
+1 / beta substeps.
+
+Talking to Bullet costs as much as a good part of a substep, so the law runs once per block of `HOLD` steps of the
+engine: it foresees the m accelerations of the block, and one torque, held meanwhile, gives their mean. In all of
+this dt is the engine's step, which the fast preset makes longer than the world's timestep.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from functools import cache
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from raisim_like.engines.bullet.mass import axes_of, inverse
+from raisim_like.engines.bullet.quiet_pybullet import pybullet as p
+from raisim_like.engines.protocol import Array, Preset, engine_steps
+from raisim_like.urdf import UrdfModel
+
+if TYPE_CHECKING:
+    from raisim_like.engines.bullet.world import BulletWorld
+
+OBSERVER_GAIN = 0.15
+"""beta per timestep. 0.5 went unstable on stiff contacts; a slower observer lets a grip sag."""
+HOLD: dict[Preset, int] = {"faithful": 1, "fast": 2}
+"""Steps of the engine per torque (docs/physics.md)."""
+REFRESH_MOTION = 0.1
+"""rad or m that a joint may move before the mass matrices are computed anew; D' outweighs them by far."""
+CHUNK = 8
+"""Worlds stepped in turn, block by block: enough to batch their algebra, few enough for the cache."""
+
+
+class ImplicitPd:
+    """Controller and state of one articulated system; arrays are (dof,)."""
+
+    def __init__(self, client: int, uid: int, model: UrdfModel, timestep: float) -> None:
+        self.client, self.uid, self.model, self.dof, self.dt = client, uid, model, model.dof, timestep
+        n = self.dof
+        self.indices = list(range(n))
+        self.axes = axes_of(model)
+        self.q, self.v = np.zeros(n), np.zeros(n)
+        self.kp, self.kd = np.zeros(n), np.zeros(n)
+        self.damping = model.joint_damping
+        self.target, self.feed_forward = np.zeros(n), np.zeros(n)
+        self.h = np.zeros(n)
+        self.Mb, self.X = np.zeros((n, n)), np.zeros((n, n))
+        self.forces: list[float] = []
+        self.motion = np.zeros((2, n))
+        """Coordinates and velocities as Bullet last told; a row of the batch's."""
+        # Coordinates of Mb and X = Mh^-1; infinite means that they are to be computed.
+        self.q_matrices = np.full(n, np.inf)
+        p.setJointMotorControlArray(uid, self.indices, p.VELOCITY_CONTROL, forces=[0.0] * n, physicsClientId=client)
+
+    def set_gains(self, kp: Array, kd: Array) -> None:
+        if not (np.array_equal(kp, self.kp) and np.array_equal(kd, self.kd)):
+            self.kp[:], self.kd[:] = kp, kd
+            self.q_matrices[:] = np.inf
+
+    def set_timestep(self, timestep: float) -> None:
+        if timestep != self.dt:
+            self.dt = timestep
+            self.q_matrices[:] = np.inf
+
+    def set_state(self, gc: Array, gv: Array) -> None:
+        p.resetJointStatesMultiDof(
+            self.uid,
+            self.indices,
+            targetValues=[[value] for value in np.asarray(gc, dtype=float).tolist()],
+            targetVelocities=[[value] for value in np.asarray(gv, dtype=float).tolist()],
+            physicsClientId=self.client,
+        )
+        self.h[:] = 0.0
+        self.q[:], self.v[:] = gc, gv
+        self.q_matrices[:] = np.inf
+
+    def apply(self) -> None:
+        """Give Bullet the torques of the next block."""
+        p.setJointMotorControlArray(
+            self.uid, self.indices, p.TORQUE_CONTROL, forces=self.forces, physicsClientId=self.client
+        )
+
+    def observe(self) -> None:
+        """Ask Bullet for coordinates and velocities."""
+        # Transposed by zip, this takes half the time of picking the two from each joint's tuple.
+        q, v, _, _ = zip(*p.getJointStates(self.uid, self.indices, physicsClientId=self.client), strict=True)
+        self.motion[:] = q, v
+
+    @property
+    def total_damping(self) -> Array:
+        """D' of the implicit law."""
+        return self.kd + self.damping + self.dt * self.kp
+
+
+class _Batch:
+    """Systems of one model, controlled together for one call of `integrate_worlds`.
+
+    stretch: timesteps in one of the engine's steps.
+    """
+
+    def __init__(self, systems: Sequence[ImplicitPd], stretch: float) -> None:
+        self.systems, self.stretch = systems, stretch
+        self.dt = systems[0].dt
+        self.q = np.array([s.q for s in systems])
+        self.v = np.array([s.v for s in systems])
+        self.h = np.array([s.h for s in systems])
+        self.kp = np.array([s.kp for s in systems])
+        self.force = self.kp * [s.target for s in systems] + [s.feed_forward for s in systems]
+        self.D = np.array([s.total_damping for s in systems])
+        self.wanted = np.zeros_like(self.q)
+        self.told = np.zeros((len(systems), 2, self.q.shape[1]))
+        for system, row in zip(systems, self.told, strict=True):
+            system.motion = row
+        self.dt_kp = self.dt * self.kp
+        self._refresh()
+        self.Mb = np.array([s.Mb for s in systems])
+        self.dt_X = self.dt * np.array([s.X for s in systems])
+
+    def _refresh(self) -> None:
+        """New mass matrices for the systems that have moved away from theirs."""
+        axes = self.systems[0].axes
+        moved = np.abs(self.q - [s.q_matrices for s in self.systems])
+        rows = np.flatnonzero((moved > REFRESH_MOTION).any(axis=1))
+        if not len(rows):
+            return
+        stale = [self.systems[i] for i in rows.tolist()]
+        Mb = np.array([p.calculateMassMatrix(s.uid, s.q.tolist(), physicsClientId=s.client) for s in stale])
+        Mh = Mb - axes.added_inertia(self.q[rows])
+        diagonal = np.arange(Mh.shape[-1])
+        Mh[:, diagonal, diagonal] += self.dt * self.D[rows]
+        X = inverse(Mh, axes.branches)
+        for i, s in enumerate(stale):
+            s.Mb[:], s.X[:], s.q_matrices[:] = Mb[i], X[i], s.q
+
+    def push(self, steps: int) -> None:
+        """The torques of the next block, for the systems to apply."""
+        v = self.v.copy()
+        # kp (q* - q) + ff - D' v + h, which changes by the motion of each substep.
+        force = self.force + self.h
+        force -= self.kp * self.q
+        force -= self.D * v
+        for _ in range(steps):
+            change = np.matmul(self.dt_X, force[..., None])[..., 0]
+            v += change
+            change *= self.D
+            force -= change
+            force -= self.dt_kp * v
+        v -= self.v
+        v /= steps * self.dt
+        self.wanted = v
+        tau = np.matmul(self.Mb, v[..., None])[..., 0]
+        tau -= self.h
+        for s, forces in zip(self.systems, tau.tolist(), strict=True):
+            s.forces = forces
+
+    def pull(self, steps: int) -> None:
+        """What the block did, and what the observer learns from it."""
+        surprise = self.told[:, 1] - self.v
+        self.q[:], self.v[:] = self.told[:, 0], self.told[:, 1]
+        surprise /= steps * self.dt
+        surprise -= self.wanted
+        # With tau = Mb wanted - h, the observer's Mb (v+ - v) / dt - tau - h is Mb times the surprise.
+        gain = 1.0 - (1.0 - OBSERVER_GAIN) ** (steps * self.stretch)
+        self.h += gain * np.matmul(self.Mb, surprise[..., None])[..., 0]
+
+    def store(self) -> None:
+        """Gives the systems their new state."""
+        for i, s in enumerate(self.systems):
+            s.q[:], s.v[:], s.h[:] = self.q[i], self.v[i], self.h[i]
+
+
+@cache
+def blocks(steps: int, length: float, longest: int) -> tuple[int, ...]:
+    """How the engine's `steps` of `length` seconds are divided: nearly equal blocks, none longer than `longest`.
+
+    Bullet divides a block's duration by its number of steps; a number is used only where that gives `length` back
+    to the last bit, so that no remainder is left over for the next block.
+    """
+    exact = [m for m in range(1, longest + 1) if m * length / m == length and int(m * length / length) == m]
+    numbers: list[int] = []
+    while steps:
+        count = -(-steps // longest)
+        m = max(m for m in exact if m <= -(-steps // count))
+        numbers.append(m)
+        steps -= m
+    return tuple(numbers)
+
+
+def integrate_worlds(worlds: Sequence[BulletWorld], substeps: int) -> None:
+    """Advance worlds together: the linear algebra of their controllers is batched, the steps are not."""
+    for kind in dict.fromkeys((world.timestep, world.preset) for world in worlds):
+        alike = [world for world in worlds if (world.timestep, world.preset) == kind]
+        for first in range(0, len(alike), CHUNK):
+            _integrate_chunk(alike[first : first + CHUNK], substeps)
+
+
+def _integrate_chunk(worlds: Sequence[BulletWorld], substeps: int) -> None:
+    timestep, preset = worlds[0].timestep, worlds[0].preset
+    total, length = engine_steps(substeps, timestep, preset)
+    groups: dict[int, list[ImplicitPd]] = {}
+    for world in worlds:
+        for system in world.systems.values():
+            system.set_timestep(length)
+            groups.setdefault(id(system.model), []).append(system)
+    batches = [_Batch(group, length / timestep) for group in groups.values()]
+    clock = time.perf_counter
+    for steps in blocks(total, length, HOLD[preset]):
+        for batch in batches:
+            batch.push(steps)
+        for world in worlds:
+            # What is said to a world and asked of it stands next to its step, while its memory is in the cache.
+            for system in world.systems.values():
+                system.apply()
+            world.set_block(steps, length)
+            start = clock()
+            p.stepSimulation(physicsClientId=world.client)
+            world.step_seconds += clock() - start
+            for system in world.systems.values():
+                system.observe()
+        for batch in batches:
+            batch.pull(steps)
+    for batch in batches:
+        batch.store()

@@ -1,0 +1,303 @@
+"""PyBullet behind the engine protocol: worlds, bodies, contacts, pictures."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from weakref import WeakSet
+
+import numpy as np
+
+from raisim_like.contact import Contact
+from raisim_like.engines.body_frame import BodyFrame
+from raisim_like.engines.bullet.bodies import make_articulated, make_body
+from raisim_like.engines.bullet.contacts import contacts_of, link_impulses, touching
+from raisim_like.engines.bullet.pd import HOLD, ImplicitPd, blocks, integrate_worlds
+from raisim_like.engines.bullet.quiet_pybullet import pybullet as p
+from raisim_like.engines.bullet.shapes import xyzw
+from raisim_like.engines.bullet.state import BulletSnapshot
+from raisim_like.engines.pending import Pending
+from raisim_like.engines.protocol import Array, EngineWorld, Preset, engine_steps
+from raisim_like.errors import EngineError
+from raisim_like.material import MaterialTable
+from raisim_like.rotations import matrix_from_quaternion
+from raisim_like.shapes import Shape
+from raisim_like.urdf import UrdfModel
+
+# Engine settings, each measured on grasps of 20 objects (docs/physics.md).
+SOLVER_ITERATIONS = 100
+"""Light objects between ten stiff contacts need this many to stop sinking into the fingers."""
+LIGHT, LIGHT_ITERATIONS = 0.05, 500
+"""kg; with a body below it in the world, the solver is given this many. A finger that is driven by the implicit law
+weighs half a kilogram to what it touches, and the solver converges the slower the more the two masses differ."""
+RESIDUAL: dict[Preset, float] = {"faithful": 0.0, "fast": 1e-7}
+"""At this change per iteration the solver stops. 1e-7 holds the same grasps as 0, but lets blocks creep on slopes."""
+CONTACT_BREAKING_THRESHOLD = 0.001
+"""m. Bullet's 0.02 keeps contact points of parts that are centimetres apart and costs 45% of the speed."""
+
+CONTROL_STEP = 13
+"""Substeps at most for which the controller keeps its mass matrices; it turns unstable when they are far from true."""
+
+
+class _Body:
+    """A rigid body, which Bullet simulates in its inertial frame."""
+
+    def __init__(self, material: str, frame: BodyFrame, mass: float) -> None:
+        self.material, self.frame, self.mass = material, frame, mass
+
+
+class BulletWorld:
+    """One DIRECT client of PyBullet. See `EngineWorld` for the methods."""
+
+    def __init__(self, timestep: float, preset: Preset = "faithful") -> None:
+        self.timestep, self.preset = timestep, preset
+        self.step_seconds = 0.0
+        self.client = p.connect(p.DIRECT)
+        if self.client < 0:
+            raise EngineError("PyBullet has no free client left in this process; use more workers")
+        self.bodies: dict[int, _Body] = {}
+        self.systems: dict[int, ImplicitPd] = {}
+        self._system_material: dict[int, str] = {}
+        self._set_iterations()
+        p.setPhysicsEngineParameter(
+            solverResidualThreshold=RESIDUAL[preset],
+            enableConeFriction=1,
+            # With error reduction, grasps that start inside the object are pushed into holding.
+            contactERP=0.0,
+            frictionERP=0.0,
+            erp=0.0,
+            contactBreakingThreshold=CONTACT_BREAKING_THRESHOLD,
+            deterministicOverlappingPairs=1,
+            # 0: both groups must be in the other's mask; by default one is enough.
+            collisionFilterMode=0,
+            physicsClientId=self.client,
+        )
+
+        self._snapshots = WeakSet[BulletSnapshot]()
+        self._pending, self._lasting = Pending(), dict[int, Array]()
+        self._block = 0, 0.0
+        self.set_block(1, timestep)
+
+    @property
+    def _impulse_per_force(self) -> float:
+        """s. Bullet reports the impulses of its last step divided by the duration of the whole call."""
+        return self._block[0] * self.timestep
+
+    def set_block(self, steps: int, length: float) -> None:
+        """Let Bullet take that many steps of `length` seconds per call."""
+        if (steps, length) != self._block:
+            p.setPhysicsEngineParameter(fixedTimeStep=steps * length, numSubSteps=steps, physicsClientId=self.client)
+            self._block = steps, length
+
+    def bare_step(self, substeps: int) -> float:
+        seconds = 0.0
+        total, length = engine_steps(substeps, self.timestep, self.preset)
+        for steps in blocks(total, length, HOLD[self.preset]):
+            # Bullet forgets torques with every step, and limp fingers would be another problem than a grasp.
+            for system in self.systems.values():
+                if system.forces:
+                    system.apply()
+            self.set_block(steps, length)
+            start = time.perf_counter()
+            p.stepSimulation(physicsClientId=self.client)
+            seconds += time.perf_counter() - start
+        return seconds
+
+    def close(self) -> None:
+        if self.client >= 0:
+            for snapshot in self._snapshots:
+                snapshot.world_closed()
+            p.disconnect(physicsClientId=self.client)
+            self.client = -1
+
+    def set_gravity(self, gravity: Array) -> None:
+        p.setGravity(*(float(g) for g in gravity), physicsClientId=self.client)
+
+    # Bodies ------------------------------------------------------------------------------------
+
+    def add_body(
+        self, shapes: Sequence[Shape], mass: float, com: Array, inertia: Array, material: str, collision_mask: int
+    ) -> int:
+        frame = BodyFrame(com, inertia)
+        uid = make_body(self.client, shapes, mass, frame, collision_mask)
+        self.bodies[uid] = _Body(material, frame, mass)
+        self._set_iterations()
+        return uid
+
+    def _set_iterations(self) -> None:
+        light = any(0.0 < body.mass < LIGHT for body in self.bodies.values())
+        p.setPhysicsEngineParameter(
+            numSolverIterations=LIGHT_ITERATIONS if light else SOLVER_ITERATIONS, physicsClientId=self.client
+        )
+
+    def remove(self, body: int) -> None:
+        p.removeBody(body, physicsClientId=self.client)
+        self._pending.forget(body)
+        self.bodies.pop(body, None)
+        self.systems.pop(body, None)
+        self._system_material.pop(body, None)
+        self._set_iterations()
+
+    def apply_materials(self, table: MaterialTable) -> None:
+        materials = {uid: body.material for uid, body in self.bodies.items()} | self._system_material
+        names = sorted(materials.values())
+        touching = {frozenset((a, b)) for i, a in enumerate(names) for b in names[i + 1 :]}
+        factors = table.factors(names, touching)
+        for uid, material in materials.items():
+            for link in range(-1, p.getNumJoints(uid, physicsClientId=self.client)):
+                p.changeDynamics(
+                    uid, link, lateralFriction=factors[material], restitution=0.0, physicsClientId=self.client
+                )
+
+    def set_body_state(self, body: int, state: Array) -> None:
+        inertial = [float(v) for v in self.bodies[body].frame.to_inertial(state)]
+        p.resetBasePositionAndOrientation(body, inertial[:3], xyzw(inertial[3:7]), physicsClientId=self.client)
+        p.resetBaseVelocity(body, inertial[7:10], inertial[10:], physicsClientId=self.client)
+
+    def get_body_state(self, body: int, out: Array) -> None:
+        position, (x, y, z, w) = p.getBasePositionAndOrientation(body, physicsClientId=self.client)
+        linear, angular = p.getBaseVelocity(body, physicsClientId=self.client)
+        out[:3], out[3:7], out[7:10], out[10:13] = position, (w, x, y, z), linear, angular
+        self.bodies[body].frame.from_inertial(out)
+
+    # Articulated systems -----------------------------------------------------------------------
+
+    def add_articulated(
+        self, model: UrdfModel, material: str, collision_mask: int, self_collision: bool, enforce_limits: bool
+    ) -> int:
+        uid = make_articulated(self.client, model, collision_mask, self_collision, enforce_limits)
+        self.systems[uid] = ImplicitPd(self.client, uid, model, self.timestep)
+        self._system_material[uid] = material
+        return uid
+
+    def set_base_pose(self, body: int, position: Array, quaternion: Array) -> None:
+        p.resetBasePositionAndOrientation(
+            body, [float(v) for v in position], xyzw(quaternion), physicsClientId=self.client
+        )
+
+    def set_joint_state(self, body: int, gc: Array, gv: Array) -> None:
+        self.systems[body].set_state(gc, gv)
+
+    def get_joint_state(self, body: int, gc: Array, gv: Array) -> None:
+        system = self.systems[body]
+        gc[:], gv[:] = system.q, system.v
+
+    def set_pd_gains(self, body: int, kp: Array, kd: Array) -> None:
+        self.systems[body].set_gains(kp, kd)
+
+    def set_pd_target(self, body: int, target: Array) -> None:
+        self.systems[body].target[:] = target
+
+    def set_feed_forward(self, body: int, force: Array) -> None:
+        self.systems[body].feed_forward[:] = force
+
+    def apply_wrench(self, body: int, force: Array, torque: Array) -> None:
+        self._pending.add_wrench(body, force, torque)
+
+    def apply_generalized_force(self, body: int, force: Array) -> None:
+        self._pending.add_generalized(body, force)
+
+    def begin_pending(self) -> bool:
+        """Whether forces are pending that last for one substep; they now act, until `end_pending`."""
+        for body, (force, torque) in self._pending.wrenches.items():
+            position, _ = p.getBasePositionAndOrientation(body, physicsClientId=self.client)
+            p.applyExternalForce(body, -1, force.tolist(), position, p.WORLD_FRAME, physicsClientId=self.client)
+            p.applyExternalTorque(body, -1, torque.tolist(), p.WORLD_FRAME, physicsClientId=self.client)
+        for body, extra in self._pending.generalized.items():
+            system = self.systems[body]
+            self._lasting[body] = system.feed_forward.copy()
+            system.feed_forward += extra
+        return bool(self._pending)
+
+    def end_pending(self) -> None:
+        """Takes the pending forces away; Bullet has dropped those on rigid bodies itself."""
+        for body, force in self._lasting.items():
+            self.systems[body].feed_forward[:] = force
+        self._lasting, self._pending = {}, Pending()
+
+    def mass_matrix(self, body: int) -> Array:
+        system = self.systems[body]
+        return np.array(p.calculateMassMatrix(body, system.q.tolist(), physicsClientId=self.client))
+
+    def link_poses(self, body: int) -> tuple[Array, Array]:
+        states = p.getLinkStates(
+            body, range(self.systems[body].dof), computeForwardKinematics=1, physicsClientId=self.client
+        )
+        quaternions = np.array([(s[5][3], *s[5][:3]) for s in states])
+        return matrix_from_quaternion(quaternions), np.array([s[4] for s in states])
+
+    def forget_contacts(self) -> None:
+        # Bullet warm-starts its solver from contacts of the past, also over a teleport. Without a pair of
+        # bodies near each other the broad phase drops them, and the next episode depends on nothing before it.
+        for k, body in enumerate([*self.bodies, *self.systems]):
+            p.resetBasePositionAndOrientation(
+                body, [0.0, 100.0 * k, 1000.0], [0.0, 0.0, 0.0, 1.0], physicsClientId=self.client
+            )
+        p.performCollisionDetection(physicsClientId=self.client)
+
+    # Contacts and pictures ---------------------------------------------------------------------
+
+    def link_impulses(self, body: int, other: int, out: Array) -> None:
+        link_impulses(self.client, body, other, self._impulse_per_force, out)
+
+    def touching(self, body: int, other: int) -> bool:
+        return touching(self.client, body, other)
+
+    def contacts(self, body: int) -> list[Contact]:
+        return contacts_of(self.client, body, self._impulse_per_force)
+
+    def save(self) -> BulletSnapshot:
+        snapshot = BulletSnapshot(self.client, set(self.bodies), self.systems, self._block, self._pending.copy())
+        self._snapshots.add(snapshot)
+        # What Bullet restores is a little other than what it saved: contacts have fewer points. Going on from
+        # what is restored makes this run and those after a restore the same.
+        self.restore(snapshot)
+        return snapshot
+
+    def restore(self, snapshot: BulletSnapshot) -> None:
+        if (set(self.bodies), set(self.systems)) != (snapshot.bodies, set(snapshot.arrays)):
+            raise EngineError("bodies have come or gone since the snapshot was taken")
+        self.set_block(*snapshot.block)
+        # Without this, the order of the contacts, and with it rounding, would depend on what came in between.
+        self.forget_contacts()
+        snapshot.write_back(self.systems)
+        self._pending = snapshot.pending.copy()
+
+    def render(self, eye: Array, target: Array, width: int, height: int) -> Array:
+        view = p.computeViewMatrix([float(v) for v in eye], [float(v) for v in target], [0, 0, 1])
+        projection = p.computeProjectionMatrixFOV(40.0, width / height, 0.02, 5.0)
+        image = p.getCameraImage(
+            width, height, view, projection, renderer=p.ER_TINY_RENDERER, lightDirection=[1, -1, 2],
+            physicsClientId=self.client,
+        )  # fmt: skip
+        return np.reshape(np.asarray(image[2], dtype=np.uint8), (height, width, 4))[..., :3]
+
+    def set_color(self, body: int, rgba: Sequence[float]) -> None:
+        for link in range(-1, p.getNumJoints(body, physicsClientId=self.client)):
+            p.changeVisualShape(body, link, rgbaColor=list(rgba), physicsClientId=self.client)
+
+
+class BulletEngine:
+    """PyBullet. Its worlds are independent clients; one process may hold many."""
+
+    name = "pybullet"
+
+    def make_world(self, timestep: float, preset: Preset) -> EngineWorld:
+        return BulletWorld(timestep, preset)
+
+    def integrate(self, worlds: Sequence[EngineWorld], substeps: int) -> None:
+        mine = [w for w in worlds if isinstance(w, BulletWorld)]
+        pushed = [w for w in mine if w.begin_pending()] if substeps else []
+        if pushed:
+            integrate_worlds(pushed, 1)
+            for world in pushed:
+                world.end_pending()
+            _integrate(pushed, substeps - 1)
+            mine = [w for w in mine if w not in pushed]
+        _integrate(mine, substeps)
+
+
+def _integrate(worlds: Sequence[BulletWorld], substeps: int) -> None:
+    for done in range(0, substeps, CONTROL_STEP):
+        integrate_worlds(worlds, min(CONTROL_STEP, substeps - done))
+
