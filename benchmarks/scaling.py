@@ -12,9 +12,10 @@ import time
 
 import torch
 
+from dgrasp.build import build_hand
 from dgrasp.config.experiment import load_config
+from dgrasp.data import resolve
 from dgrasp.env.features import FeatureLayer
-from dgrasp.hand.mano.skeleton import N_DOF
 from dgrasp.rl.collect import Trajectories
 from dgrasp.rl.networks import ActorCritic
 from dgrasp.rl.ppo import Ppo
@@ -33,14 +34,15 @@ def main() -> None:
     parser.add_argument("overrides", nargs="*", metavar="key=value")
     arguments = parser.parse_intermixed_args()
     config = load_config(None, arguments.overrides)
+    hand = build_hand(resolve(config)).layout
     torch.set_num_threads(1)
-    layer, steps, n = FeatureLayer(config.env), config.env.episode_steps, arguments.labels
+    layer, steps, n = FeatureLayer(config.env, hand), config.env.episode_steps, arguments.labels
     device = pick_device(config.device)
     model = ActorCritic(
-        layer.size, N_DOF, config.ppo.hidden, config.ppo.initial_std, epoch_generator(1, 0), layer.actor_size
+        layer.size, hand.n_dof, config.ppo.hidden, config.ppo.initial_std, epoch_generator(1, 0), layer.actor_size
     ).to(device)
     ppo, rollout = Ppo(model, config.ppo), Rollout(device)
-    trajectories = Trajectories.allocate(steps, n, layer.size, N_DOF, 7)
+    trajectories = Trajectories.allocate(steps, n, layer.size, hand.n_dof, 7)
     generator = torch.Generator().manual_seed(0)
     trajectories.observations[:] = torch.randn(trajectories.observations.shape, generator=generator).numpy()
     trajectories.actions[:] = torch.randn(trajectories.actions.shape, generator=generator).numpy()

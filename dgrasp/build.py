@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from itertools import zip_longest
+
 from dgrasp.config.experiment import Config
 from dgrasp.data import DataChoice
-from dgrasp.errors import ConfigError
-from dgrasp.hand.model import HandModel, load_hand
+from dgrasp.errors import ConfigError, DataError
+from dgrasp.hand.layout import HandLayout
+from dgrasp.hand.model import HandModel
 from dgrasp.methods.learned_motion import grasping_policy
 from dgrasp.objects.free import free_object
 from dgrasp.objects.model import ObjectModel
@@ -34,8 +37,16 @@ def build_objects(choice: DataChoice, config: Config) -> dict[str, ObjectModel]:
 
 
 def build_hand(choice: DataChoice) -> HandModel:
-    """The chosen hand."""
-    return load_hand(choice.hand_urdf, choice.hand)
+    """The chosen hand; a `DataError` where its joints, parts or key points are not those of the labels."""
+    hand = choice.hand_source.load()
+    for what in ("joints", "parts", "keypoints"):
+        there, here = getattr(choice.labels.names, what), getattr(hand.layout.names, what)
+        if there != here:
+            other = next(pair for pair in zip_longest(there, here) if pair[0] != pair[1])
+            raise DataError(f"{choice.labels.source}: labels of {len(there)} {what}, but the hand {hand.id!r} has "
+                            f"{len(here)}; the first difference is {other[0]!r} there, {other[1]!r} here; choose the "
+                            "hand that the labels were made for (hand=)")
+    return hand
 
 
 def build_spec(choice: DataChoice, config: Config) -> PoolSpec:
@@ -47,16 +58,17 @@ def build_spec(choice: DataChoice, config: Config) -> PoolSpec:
         make_engine(config.engine)
     except EngineError as error:
         raise ConfigError(f"engine: {error}") from None
-    grasp = frozen_policy(config)
+    hand = build_hand(choice)
+    grasp = frozen_policy(config, hand.layout)
     objects = build_objects(choice, config)
-    return PoolSpec(standing(choice.labels.labels, objects), build_hand(choice), objects, config, grasp)
+    return PoolSpec(standing(choice.labels.labels, objects), hand, objects, config, grasp)
 
 
-def frozen_policy(config: Config) -> Actor | None:
+def frozen_policy(config: Config, hand: HandLayout | None = None) -> Actor | None:
     """The policy of `motion.policy`, where the task needs one: to grasp with, or to say which grasps are stable."""
     task = config.env.task
     needed = task == "motion" or (task == "flat" and config.motion.stable_alone)
-    return grasping_policy(config).arrays() if needed else None
+    return grasping_policy(config, hand).arrays() if needed else None
 
 
 def build_pool(choice: DataChoice, config: Config) -> Pool:

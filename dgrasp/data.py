@@ -14,14 +14,14 @@ from typing import Any, Literal
 from dgrasp.config.experiment import Config
 from dgrasp.errors import DataError
 from dgrasp.files.paths import data_root, user_data_root
-from dgrasp.hand.store import find_hand
+from dgrasp.hand.store import AUTHORS_HAND, FREE_HAND, HandSource, authors_source, find_hand, free_source
 from dgrasp.labels.source import RELEASE_FILES, SOURCES, SPLITS, LabelSet, load_labels, select, sha256_of
 from dgrasp.objects.names import YCB_NAMES, nearest
 from dgrasp.objects.store import StoredObject, default_store, find_object
 
 Kind = Literal["free", "release"]
 _HAND_FILES: dict[Kind, str] = {"release": "mano_mean.urdf", "free": "free_hand.urdf"}
-_HAND_IDS: dict[Kind, str] = {"release": "mano_mean", "free": "free"}
+_HAND_IDS: dict[Kind, str] = {"release": AUTHORS_HAND, "free": FREE_HAND}
 _LAYOUT = "a folder laid out like the authors' release (hand/mano_mean.urdf, objects/NAME/*.obj, labels/*.pkl)"
 
 
@@ -29,8 +29,8 @@ _LAYOUT = "a folder laid out like the authors' release (hand/mano_mean.urdf, obj
 class DataChoice:
     """What an experiment uses.
 
-    root: the folder. kind: "release" (laid out like the authors') or "free". hand_urdf, hand: the hand's file
-    and id. objects_dir: folder of object meshes. labels: the chosen labels. licence: the terms for using them.
+    root: the folder. kind: "release" (laid out like the authors') or "free". hand_source: the hand. objects_dir: folder
+    of object meshes. labels: the chosen labels. licence: the terms for using them.
     source, split: which labels by name ("file" where a file outside the release was given).
     comparable_with_paper: the paper's hand and labels. notes: remarks on how the choice came about.
     added: the labels' objects that are none of the 20 but were added by the user, by name.
@@ -38,8 +38,7 @@ class DataChoice:
 
     root: Path
     kind: Kind
-    hand_urdf: Path
-    hand: str
+    hand_source: HandSource
     hand_sha256: str
     objects_dir: Path
     labels: LabelSet
@@ -49,6 +48,16 @@ class DataChoice:
     comparable_with_paper: bool
     notes: tuple[str, ...] = ()
     added: dict[str, StoredObject] = field(default_factory=dict)
+
+    @property
+    def hand_urdf(self) -> Path:
+        """The hand's file."""
+        return self.hand_source.urdf
+
+    @property
+    def hand(self) -> str:
+        """The hand's id."""
+        return self.hand_source.id
 
     def stamp(self) -> dict[str, Any]:
         """What was used, for results and run folders; plain JSON values, no machine's paths."""
@@ -88,7 +97,8 @@ def resolve(config: Config) -> DataChoice:
     kind: Kind = "free" if _is_free(root) else "release"
     if kind == "release" and not os.path.isdir(root / "objects"):
         raise DataError(f"{root}: no folder objects/; expected {_LAYOUT}")
-    hand_urdf, hand = _hand(config, root, kind)
+    source_of_hand = _hand(config, root, kind)
+    hand_urdf, hand = source_of_hand.urdf, source_of_hand.id
     path, named = _label_file(config, root, kind)
     labels = load_labels(path)
     source, split = named or labels.published_as or ("file", "file")
@@ -99,7 +109,7 @@ def resolve(config: Config) -> DataChoice:
     added = _added(config, root, chosen)
     comparable = kind == "release" and labels.comparable_with_paper and hand_urdf == root / "hand" / _HAND_FILES[kind]
     return DataChoice(
-        root=root, kind=kind, hand_urdf=hand_urdf, hand=hand, hand_sha256=sha256_of(hand_urdf),
+        root=root, kind=kind, hand_source=source_of_hand, hand_sha256=sha256_of(hand_urdf),
         objects_dir=root / "objects", labels=chosen, added=added,
         licence=labels.licence, source=source, split=split, comparable_with_paper=comparable, notes=tuple(notes),
     )
@@ -183,8 +193,8 @@ def _named_root(name: str, origin: str) -> Path:
     return folder
 
 
-def _hand(config: Config, root: Path, kind: Kind) -> tuple[Path, str]:
-    """The hand's URDF and id: the data's own, or what the config names (its id, a URDF file, a built hand's folder)."""
+def _hand(config: Config, root: Path, kind: Kind) -> HandSource:
+    """The hand: the data's own, or what the config names (its id, a URDF file, a built hand's folder)."""
     default, own = root / "hand" / _HAND_FILES[kind], _HAND_IDS[kind]
     if config.hand is not None and config.hand != own:
         found = find_hand(config.hand)
@@ -195,7 +205,7 @@ def _hand(config: Config, root: Path, kind: Kind) -> tuple[Path, str]:
     if not os.path.isfile(default):
         raise DataError(f"{default}: no such hand; in its folder: {_contents(default.parent)}; expected "
                         f"{_LAYOUT}")
-    return default, own
+    return free_source(default) if kind == "free" else authors_source(default)
 
 
 def _label_file(config: Config, root: Path, kind: Kind) -> tuple[Path, tuple[str, str] | None]:

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from dgrasp.config.experiment import Config, load_config
 from dgrasp.files.paths import data_root
+from dgrasp.hand.load import load_hand
+from dgrasp.hand.mano.model import MIRROR
 from dgrasp.hand.mano.skeleton import N_PARTS
-from dgrasp.hand.model import HandModel, load_hand
+from dgrasp.hand.model import HandModel
 from dgrasp.objects.free import free_object
 from dgrasp.pool import PoolSpec
 from dgrasp.types import GraspLabel, StartPose
@@ -17,6 +21,16 @@ from raisim_like.rotations import matrix_from_euler, transform
 def free_hand() -> HandModel:
     """The hand that ships."""
     return load_hand(data_root() / "free" / "hand" / "free_hand.urdf", "free")
+
+
+def mirrored(hand: HandModel) -> HandModel:
+    """The left hand that is the mirror image of a right one."""
+    chain = replace(hand.chain, offsets=hand.offsets * MIRROR, keypoint_offsets=hand.chain.keypoint_offsets * MIRROR)
+    return replace(hand, chain=chain, layout=replace(hand.layout, side="left"))
+
+
+LAYOUT = free_hand().layout
+"""Its names and sizes."""
 
 
 def make_label(hand: HandModel, object_id: str = "004_sugar_box", index: int = 0, flexion: float = 0.5) -> GraspLabel:

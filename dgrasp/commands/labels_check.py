@@ -91,7 +91,7 @@ def summary(findings: list[Finding], kind: str) -> list[str]:
         f"penetration (on {kind}): mean {statistics.fmean(volumes) if volumes else 0.0:.2f} cm3; "
         f"{sum(f.distance_mm > 0.0 for f in findings)} hands do not reach the object",
         f"{sum(f.beyond_limits > 0 for f in findings)} labels have angles beyond the hand's limits, "
-        f"{statistics.fmean(f.beyond_limits for f in findings):.1f} of 45 on average",
+        f"{statistics.fmean(f.beyond_limits for f in findings):.1f} of {len(labels[0].hand_pose)} on average",
         f"{sum(f.sunk_mm > 0.0 for f in findings)} hands would reach below the table's top where their objects start; "
         f"{sum(not f.carries for f in findings)} cannot carry the weight by what they touch; "
         f"{sum(f.duplicate_of is not None for f in findings)} duplicates",

@@ -18,7 +18,6 @@ import numpy as np
 from dgrasp import __version__
 from dgrasp.config.experiment import Config, make_config
 from dgrasp.errors import ConfigError, DataError
-from dgrasp.hand.mano.model import Side
 from dgrasp.hand.store import NamedHand, open_hand
 from dgrasp.objects.free import free_object
 from dgrasp.objects.model import ObjectModel
@@ -63,7 +62,6 @@ class _Task:
     """One object's labels, for a process of its own."""
 
     hand: str
-    side: Side
     model: ObjectModel
     count: int
     seed: int
@@ -87,7 +85,7 @@ def main(arguments: argparse.Namespace) -> int:
     with ProcessPoolExecutor(workers, multiprocessing.get_context("spawn"), _one_thread) as pool:
         results = iter(pool.map(_make, todo))
         for task in tasks:
-            labels, row = _kept(parts / task.file, next(results) if task.file in missing else None)
+            labels, row = _kept(parts / task.file, hand, next(results) if task.file in missing else None)
             made.append(labels)
             figures[task.model.name] = row
             print(f"{task.model.name}: {len(labels)} labels, {row['held']} hold under gt_pd ({row['found_held']:.2f} "
@@ -118,13 +116,12 @@ def _tasks(arguments: argparse.Namespace) -> tuple[list[_Task], NamedHand]:
     data = None if arguments.data == "free" else Path(os.path.expanduser(arguments.data))
     name = arguments.hand or ("free" if data is None else str(data / "hand" / "mano_mean.urdf"))
     hand = open_hand(name)
-    side: Side = hand.meta.get("side", "right")
     wanted = list(YCB_NAMES.values()) if arguments.objects == ["all"] else list(dict.fromkeys(arguments.objects))
     models = list({model.name: model for model in (_object(entry, data, arguments.store, config) for entry in wanted)
                    }.values())  # fmt: skip
     same = [hand.model.id, __version__, arguments.number, arguments.seed, arguments.engine]
     return [
-        _Task(name, side, model, arguments.number, arguments.seed, config, _part_name(model, same)) for model in models
+        _Task(name, model, arguments.number, arguments.seed, config, _part_name(model, same)) for model in models
     ], hand
 
 
@@ -134,7 +131,9 @@ def _part_name(model: ObjectModel, same: list[Any]) -> str:
     return f"{model.name}-{digest[:12]}.npz"
 
 
-def _kept(path: Path, made: tuple[list[GraspLabel], dict[str, Any]] | None) -> tuple[list[GraspLabel], dict[str, Any]]:
+def _kept(
+    path: Path, hand: NamedHand, made: tuple[list[GraspLabel], dict[str, Any]] | None
+) -> tuple[list[GraspLabel], dict[str, Any]]:
     """Labels and figures of one object: written to the file, or read from it where there are none."""
     from dgrasp.labels.formats.native import read_native_with_meta, write_native
 
@@ -142,7 +141,7 @@ def _kept(path: Path, made: tuple[list[GraspLabel], dict[str, Any]] | None) -> t
         labels, meta = read_native_with_meta(path)
         return labels, meta["provenance"]
     path.parent.mkdir(exist_ok=True)
-    write_native(path, made[0], made[1], "of a file that is not finished")
+    write_native(path, made[0], made[1], "of a file that is not finished", hand.model.layout.names)
     return made
 
 
@@ -198,7 +197,7 @@ def _make(task: _Task) -> tuple[list[GraspLabel], dict[str, Any]]:
     named = open_hand(task.hand)
     digest = int.from_bytes(hashlib.sha256(task.model.name.encode()).digest()[:4], "big")
     rng = np.random.default_rng([task.seed, digest])
-    made = Synthesiser(named.model, task.side).make(task.model, task.count, rng, task.config)
+    made = Synthesiser(named.model).make(task.model, task.count, rng, task.config)
     row = figures(made, named, task.model)
     return made.labels, {**row, "cpu_s": round(time.process_time() - begin, 1)}
 
@@ -218,5 +217,5 @@ def _write(files: list[Path], made: list[list[GraspLabel]], arguments: argparse.
     provenance = {"made_by": "dgrasp labels make", "seed": arguments.seed, "engine": arguments.engine,
                   "per_object": figures}
     for path, part in zip(files, parts, strict=True):
-        write_native(path, part, provenance, licence)
+        write_native(path, part, provenance, licence, hand.model.layout.names)
         print(f"wrote {path}: {len(part)} labels, {path.stat().st_size} bytes; licence: {licence}")

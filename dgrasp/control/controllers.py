@@ -1,6 +1,6 @@
 """What the residual action is added to: one controller per phase and ablation (paper, equations 1 and 2).
 
-A controller gives the bias q_b (N, 51) of the PD target and the scale sigma (51,) of the action;
+A controller gives the bias q_b (N, D) of the PD target and the scale sigma (D,) of the action;
 the target is q_b + sigma * a, clipped to the joint limits.
 """
 
@@ -12,7 +12,7 @@ from typing import Protocol
 import numpy as np
 
 from dgrasp.config.sections import ActionConfig
-from dgrasp.hand.mano.skeleton import N_DOF
+from dgrasp.hand.layout import N_WRIST, HandLayout
 from dgrasp.scene.relations import goal_wrist_position_W
 from dgrasp.types import Array, GraspGoal, SceneState
 from raisim_like.rotations import rotate_back
@@ -29,13 +29,13 @@ class Controller(Protocol):
     carries: bool
 
     def bias(self, state: SceneState, goal: GraspGoal, out: Array) -> None:
-        """Writes q_b into out (N, 51)."""
+        """Writes q_b into out (N, D)."""
 
 
-def _sigma(config: ActionConfig, wrist_position: float) -> Array:
-    sigma = np.full(N_DOF, config.sigma_fingers)
+def _sigma(config: ActionConfig, hand: HandLayout, wrist_position: float) -> Array:
+    sigma = np.full(hand.n_dof, config.sigma_fingers)
     sigma[:3] = wrist_position
-    sigma[3:6] = config.sigma_wrist_rotation
+    sigma[3:N_WRIST] = config.sigma_wrist_rotation
     return sigma
 
 
@@ -47,8 +47,8 @@ class WristGuidance:
 
     carries = False
 
-    def __init__(self, config: ActionConfig) -> None:
-        self.sigma = _sigma(config, config.sigma_wrist_position)
+    def __init__(self, config: ActionConfig, hand: HandLayout) -> None:
+        self.sigma = _sigma(config, hand, config.sigma_wrist_position)
         self.kp_position = config.kp_position
 
     def bias(self, state: SceneState, goal: GraspGoal, out: Array) -> None:
@@ -61,8 +61,8 @@ class Residual:
 
     carries = False
 
-    def __init__(self, config: ActionConfig) -> None:
-        self.sigma = _sigma(config, 10.0 * config.sigma_wrist_position)
+    def __init__(self, config: ActionConfig, hand: HandLayout) -> None:
+        self.sigma = _sigma(config, hand, 10.0 * config.sigma_wrist_position)
         self.kp_position = config.kp_position
 
     def bias(self, state: SceneState, goal: GraspGoal, out: Array) -> None:
@@ -75,18 +75,18 @@ class WristHold:
     carries = True
     kp_position = HOLD_KP_POSITION
 
-    def __init__(self, config: ActionConfig, state: SceneState) -> None:
-        self.sigma = _sigma(config, 0.0)
-        self.sigma[:6] = 0.0
-        self._wrist = state.gc[:, :6].copy()
+    def __init__(self, config: ActionConfig, hand: HandLayout, state: SceneState) -> None:
+        self.sigma = _sigma(config, hand, 0.0)
+        self.sigma[:N_WRIST] = 0.0
+        self._wrist = state.gc[:, :N_WRIST].copy()
 
     def catch(self, state: SceneState, rows: Array) -> None:
         """Hold the wrists of some environments where they are now."""
-        self._wrist[rows] = state.gc[rows, :6]
+        self._wrist[rows] = state.gc[rows, :N_WRIST]
 
     def bias(self, state: SceneState, goal: GraspGoal, out: Array) -> None:
         out[:] = state.gc
-        out[:, :6] = self._wrist
+        out[:, :N_WRIST] = self._wrist
 
 
 class LabelPose:
@@ -95,15 +95,15 @@ class LabelPose:
     carries = True
     kp_position = HOLD_KP_POSITION
 
-    def __init__(self, config: ActionConfig) -> None:
-        self.sigma = np.zeros(N_DOF)
+    def __init__(self, config: ActionConfig, hand: HandLayout) -> None:
+        self.sigma = np.zeros(hand.n_dof)
 
     def bias(self, state: SceneState, goal: GraspGoal, out: Array) -> None:
-        out[:, :6] = 0.0
-        out[:, 6:] = goal.hand_pose
+        out[:, :N_WRIST] = 0.0
+        out[:, N_WRIST:] = goal.hand_pose
 
 
-GRASP_CONTROLLERS: dict[str, Callable[[ActionConfig], Controller]] = {
+GRASP_CONTROLLERS: dict[str, Callable[[ActionConfig, HandLayout], Controller]] = {
     "guidance": WristGuidance,
     "residual": Residual,
 }

@@ -8,7 +8,7 @@ import numpy as np
 
 from dgrasp.config.sections import ActionConfig, MotionConfig
 from dgrasp.control.controllers import HOLD_KP_POSITION
-from dgrasp.hand.mano.skeleton import N_DOF
+from dgrasp.hand.layout import N_WRIST, HandLayout
 from dgrasp.types import Array, SceneState
 from raisim_like.rotations import (
     euler_from_matrix,
@@ -32,22 +32,24 @@ class MotionSynthesis:
     carries = True
     kp_position = HOLD_KP_POSITION
 
-    def __init__(self, action: ActionConfig, motion: MotionConfig, fingers: Array | None = None) -> None:
-        """fingers: (n, 45) targets to hold the fingers at, instead of the policy's (the baseline "static grasp")."""
-        self.sigma = np.zeros(N_DOF)
+    def __init__(
+        self, action: ActionConfig, motion: MotionConfig, hand: HandLayout, fingers: Array | None = None
+    ) -> None:
+        """fingers: (N, J) targets to hold the fingers at, instead of the policy's (the baseline "static grasp")."""
+        self.sigma = np.zeros(hand.n_dof)
         if fingers is None:
-            self.sigma[6:] = action.sigma_fingers
+            self.sigma[N_WRIST:] = action.sigma_fingers
         self._motion = motion
         self._fingers = None if fingers is None else fingers.copy()
         self._steps = 0
 
     def bias(self, state: SceneState, goal: object, out: Array) -> None:
-        """Writes q_b into out (N, 51); one call per control step."""
-        out[:] = state.gc if self._fingers is None else np.concatenate([state.gc[:, :6], self._fingers], axis=1)
+        """Writes q_b into out (N, D); one call per control step."""
+        out[:] = state.gc if self._fingers is None else np.concatenate([state.gc[:, :N_WRIST], self._fingers], axis=1)
         m, n = self._motion, len(out)
         beta_position = m.beta_position * min(1.0, self._steps / m.ramp_position)
         beta_rotation = m.beta_rotation * min(1.0, self._steps / m.ramp_rotation)
-        out[:, :6] = wrist_target(state, np.full(n, beta_position), np.full(n, beta_rotation))
+        out[:, :N_WRIST] = wrist_target(state, np.full(n, beta_position), np.full(n, beta_rotation))
         self._steps += 1
 
 

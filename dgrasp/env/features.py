@@ -11,27 +11,68 @@ from dataclasses import dataclass
 import numpy as np
 
 from dgrasp.config.sections import EnvConfig
+from dgrasp.files.paths import data_root
+from dgrasp.hand.layout import N_WRIST, HandLayout
+from dgrasp.hand.load import load_hand
 from dgrasp.scene.relations import Relations, target_turn_W, wrist_angvel_W
 from dgrasp.types import Array, GraspGoal, SceneState
 from raisim_like.rotations import euler_from_matrix, rotate, rotate_back
 
 Term = Callable[[SceneState, GraspGoal, Relations], Array]
+Size = Callable[[HandLayout], int]
 
 
 @dataclass(frozen=True)
 class Feature:
     """One block of the observation: its size, frame and unit, and the function that gives (N, size).
 
-    scale: what brings it to order 1 (`env.scaled_features`), a number or (size,).
+    size: a number, or what gives it for a hand. scale: what brings it to order 1 (`env.scaled_features`), a number, or
+    one for the wrist's translation and one for the rest.
     """
 
     name: str
-    size: int
+    size: int | Size
     frame: str
     unit: str
     value: Term
     is_goal: bool = False
-    scale: float | Array = 1.0
+    scale: float | tuple[float, float] = 1.0
+
+    def size_for(self, hand: HandLayout) -> int:
+        """Its size for a hand."""
+        return self.size if isinstance(self.size, int) else self.size(hand)
+
+    def scale_for(self, hand: HandLayout) -> Array:
+        """(size,) its scale for a hand."""
+        size = self.size_for(hand)
+        if isinstance(self.scale, float):
+            return np.full(size, self.scale)
+        translation, rest = self.scale
+        return np.r_[np.full(3, translation), np.full(size - 3, rest)]
+
+
+def _dofs(hand: HandLayout) -> int:
+    return hand.n_dof
+
+
+def _fingers(hand: HandLayout) -> int:
+    return hand.n_joints
+
+
+def _rotations(hand: HandLayout) -> int:
+    return 3 + hand.n_joints
+
+
+def _points(hand: HandLayout) -> int:
+    return 3 * hand.n_keypoints
+
+
+def _parts(hand: HandLayout) -> int:
+    return hand.n_parts
+
+
+def _flat(values: Array) -> Array:
+    return values.reshape(len(values), -1)
 
 
 def _table_height_H(s: SceneState, g: GraspGoal, r: Relations) -> Array:
@@ -41,24 +82,23 @@ def _table_height_H(s: SceneState, g: GraspGoal, r: Relations) -> Array:
 
 
 PHI: tuple[Feature, ...] = (
-    Feature("joint_positions", 51, "H0", "m, rad", lambda s, g, r: s.gc, scale=np.r_[np.full(3, 5.0), np.ones(48)]),
+    Feature("joint_positions", _dofs, "H0", "m, rad", lambda s, g, r: s.gc, scale=(5.0, 1.0)),
     Feature("wrist_linvel", 3, "H0", "m/s", lambda s, g, r: s.gv[:, 0:3], scale=0.2),
     Feature("wrist_angvel", 3, "H0 (Euler rates)", "rad/s", lambda s, g, r: s.gv[:, 3:6], scale=0.2),
-    Feature("finger_velocities", 45, "joint", "rad/s", lambda s, g, r: s.gv[:, 6:], scale=0.2),
+    Feature("finger_velocities", _fingers, "joint", "rad/s", lambda s, g, r: s.gv[:, N_WRIST:], scale=0.2),
     Feature(
-        "joint_position_error_H", 63, "H", "m", lambda s, g, r: r.joint_position_error_H.reshape(-1, 63), True,
-        scale=10.0,
+        "joint_position_error_H", _points, "H", "m", lambda s, g, r: _flat(r.joint_position_error_H), True, scale=10.0,
     ),
-    Feature("pose_error", 48, "O (wrist), joint", "rad", lambda s, g, r: r.pose_error, True, scale=2.0),
+    Feature("pose_error", _rotations, "O (wrist), joint", "rad", lambda s, g, r: r.pose_error, True, scale=2.0),
     Feature(
         "wrist_from_object_H", 3, "H", "m", lambda s, g, r: rotate_back(s.R_WH, s.joints_W[:, 0] - s.object_pos_W),
         scale=8.0,
     ),
     Feature("object_linvel_H", 3, "H", "m/s", lambda s, g, r: rotate_back(s.R_WH, s.object_linvel_W), scale=2.0),
     Feature("object_angvel_H", 3, "H", "rad/s", lambda s, g, r: rotate_back(s.R_WH, s.object_angvel_W), scale=0.2),
-    Feature("goal_contacts", 16, "-", "0/1", lambda s, g, r: g.goal_contacts, True),
-    Feature("contact_impulse", 16, "-", "N s", lambda s, g, r: s.contact_impulse, scale=20.0),
-    Feature("achieved_contacts", 16, "-", "0/1", lambda s, g, r: g.goal_contacts * s.contacts, True),
+    Feature("goal_contacts", _parts, "-", "0/1", lambda s, g, r: g.goal_contacts, True),
+    Feature("contact_impulse", _parts, "-", "N s", lambda s, g, r: s.contact_impulse, scale=20.0),
+    Feature("achieved_contacts", _parts, "-", "0/1", lambda s, g, r: g.goal_contacts * s.contacts, True),
     Feature(
         "object_displacement_H", 3, "H", "m", lambda s, g, r: rotate_back(s.R_WH, s.object_start_W - s.object_pos_W),
         scale=10.0,
@@ -69,22 +109,22 @@ PHI: tuple[Feature, ...] = (
         lambda s, g, r: euler_from_matrix(np.matmul(np.swapaxes(s.R_WH, 1, 2), s.R_WO)), scale=0.5,
     ),
 )  # fmt: skip
-"""phi, the published order of 279 numbers (paper, equation 3)."""
+"""phi, in the published order (paper, equation 3)."""
 
 FULL_STATE: tuple[Feature, ...] = (
-    Feature("joint_positions", 51, "H0", "m, rad", lambda s, g, r: s.gc, scale=np.r_[np.full(3, 5.0), np.ones(48)]),
-    Feature("joint_velocities", 51, "H0, joint", "m/s, rad/s", lambda s, g, r: s.gv, scale=0.2),
+    Feature("joint_positions", _dofs, "H0", "m, rad", lambda s, g, r: s.gc, scale=(5.0, 1.0)),
+    Feature("joint_velocities", _dofs, "H0, joint", "m/s, rad/s", lambda s, g, r: s.gv, scale=0.2),
     Feature("wrist_position_W", 3, "W", "m", lambda s, g, r: s.joints_W[:, 0], scale=5.0),
     Feature("wrist_euler_W", 3, "W", "rad", lambda s, g, r: euler_from_matrix(s.R_WH), scale=0.5),
     Feature("object_position_W", 3, "W", "m", lambda s, g, r: s.object_pos_W, scale=5.0),
     Feature("object_euler_W", 3, "W", "rad", lambda s, g, r: euler_from_matrix(s.R_WO), scale=0.5),
     Feature("object_linvel_W", 3, "W", "m/s", lambda s, g, r: s.object_linvel_W, scale=2.0),
     Feature("object_angvel_W", 3, "W", "rad/s", lambda s, g, r: s.object_angvel_W, scale=0.2),
-    Feature("contact_impulse", 16, "-", "N s", lambda s, g, r: s.contact_impulse, scale=20.0),
-    Feature("label_joints_O", 63, "O", "m", lambda s, g, r: g.joints_O.reshape(-1, 63), True, scale=8.0),
+    Feature("contact_impulse", _parts, "-", "N s", lambda s, g, r: s.contact_impulse, scale=20.0),
+    Feature("label_joints_O", _points, "O", "m", lambda s, g, r: _flat(g.joints_O), True, scale=8.0),
     Feature("label_wrist_euler_O", 3, "O", "rad", lambda s, g, r: g.wrist_euler_O, True, scale=0.5),
-    Feature("label_hand_pose", 45, "joint", "rad", lambda s, g, r: g.hand_pose, True),
-    Feature("goal_contacts", 16, "-", "0/1", lambda s, g, r: g.goal_contacts, True),
+    Feature("label_hand_pose", _fingers, "joint", "rad", lambda s, g, r: g.hand_pose, True),
+    Feature("goal_contacts", _parts, "-", "0/1", lambda s, g, r: g.goal_contacts, True),
 )
 """The state and the label without the feature layer (the paper's ablation "w/o FeatLayer")."""
 
@@ -117,7 +157,7 @@ SCALED_RANGE = 5.0
 class FeatureLayer:
     """The features of a task as one observation (N, size) float32; the actor sees the first `actor_size` numbers."""
 
-    def __init__(self, config: EnvConfig) -> None:
+    def __init__(self, config: EnvConfig, hand: HandLayout) -> None:
         grasp = tuple(f for f in FEATURE_LAYERS[config.features] if config.goal_space or not f.is_goal)
         seen = {feature.name for feature in grasp}
         both = grasp + tuple(feature for feature in PSI if feature.name not in seen)
@@ -126,11 +166,11 @@ class FeatureLayer:
         self.slices: dict[str, slice] = {}
         start = 0
         for feature in self.features:
-            self.slices[feature.name] = slice(start, start + feature.size)
-            start += feature.size
+            self.slices[feature.name] = slice(start, start + feature.size_for(hand))
+            start += feature.size_for(hand)
         self.size = start
-        self.actor_size = sum(feature.size for feature in chosen)
-        scales = [np.broadcast_to(feature.scale, feature.size) for feature in self.features]
+        self.actor_size = sum(feature.size_for(hand) for feature in chosen)
+        scales = [feature.scale_for(hand) for feature in self.features]
         self._scale = np.concatenate(scales).astype(np.float32) if config.scaled_features else None
 
     def __call__(self, state: SceneState, goal: GraspGoal, r: Relations, out: Array) -> None:
@@ -143,7 +183,8 @@ class FeatureLayer:
 
 
 def features_page() -> str:
-    """docs/features.md: what each number of the observations is."""
+    """docs/features.md: what each number of the observations is, for a hand with MANO's joints."""
+    hand = load_hand(data_root() / "free" / "hand" / "free_hand.urdf", "free").layout
     lines = [
         "# Observations",
         "",
@@ -157,7 +198,7 @@ def features_page() -> str:
     ]
     choices = [("features", name) for name in FEATURE_LAYERS] + [("task", "motion")]
     for key, name in choices:
-        layer = FeatureLayer(EnvConfig.model_validate({key: name}))
+        layer = FeatureLayer(EnvConfig.model_validate({key: name}), hand)
         lines += ["", f"## `env.{key}={name}`: {layer.size} numbers", ""]
         lines += ["| numbers | name | frame | unit | scale | |", "|---|---|---|---|---|---|"]
         for feature in layer.features:

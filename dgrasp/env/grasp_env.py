@@ -16,7 +16,7 @@ from dgrasp.env.goal import make_goal
 from dgrasp.env.rewards import Reward
 from dgrasp.env.start import start_pose, taking_part, with_noise
 from dgrasp.env.training_hold import TrainingHold
-from dgrasp.hand.mano.skeleton import ACTION_SIZES, N_DOF
+from dgrasp.hand.layout import N_WRIST
 from dgrasp.hand.model import HandModel
 from dgrasp.objects.model import ObjectModel
 from dgrasp.scene.relations import Relations, relations
@@ -61,24 +61,25 @@ class GraspEnv:
         n = len(self.labels)
         env = self.config.env
         self.num_envs = n
-        self.action_size = ACTION_SIZES[env.task]
-        self.layer = FeatureLayer(env)
+        layout = self.hand.layout
+        self.action_size = layout.action_size(env.task)
+        self.layer = FeatureLayer(env, layout)
         self.observation_size = self.layer.size
-        self.reward = Reward(env.reward, env.task)
+        self.reward = Reward(env.reward, layout, env.task)
         self.reward_terms = self.reward.names
         self.indices, self.total = self.indices or range(n), self.total or n
-        self.s = state_views(n)
+        self.s = state_views(n, layout)
         self.o = StepArrays.allocate(n, self.layer.size, len(self.reward.names))
         self.goal = make_goal(self.labels)
         self.starts = [start_pose(label, self.hand) for label in self.labels]
         self.worlds = Worlds(self.labels, self.hand, self.objects, self.config, self.make_scene, self.s)
-        self._target = np.zeros((n, N_DOF))
+        self._target = np.zeros((n, layout.n_dof))
         self._limits = self.hand.limits.T.copy()
         self._rng: dict[int, np.random.Generator] = {}
         self.mode: Mode = "train"
         self.restarts = True  # Whether a training episode that has ended begins anew in the same step.
         self.control = self._start_control()
-        self.hold = TrainingHold(env, self.s, n)
+        self.hold = TrainingHold(env, layout, self.s, n)
         self.alive = np.ones(n, bool)
         self.active = np.ones(n, bool)
         """Environments that take part in this epoch (`labels.per_epoch`); the others rest as they are."""
@@ -94,7 +95,8 @@ class GraspEnv:
     def _start_control(self) -> Controller:
         """The controller that an episode begins with."""
         env = self.config.env
-        return LabelPose(env.action) if self.mode == "label" else GRASP_CONTROLLERS[env.wrist](env.action)
+        make = LabelPose if self.mode == "label" else GRASP_CONTROLLERS[env.wrist]
+        return make(env.action, self.hand.layout)
 
     def close(self) -> None:
         """Free all worlds."""
@@ -218,7 +220,7 @@ class GraspEnv:
 
     def remove_table(self) -> None:
         """Take the table away and hold the wrist where it is: the stability test begins."""
-        self.control = WristHold(self.config.env.action, self.s)
+        self.control = WristHold(self.config.env.action, self.hand.layout, self.s)
         self.s.table_gone[:] = 1.0
         for i in range(self.num_envs):
             self.worlds.release(i, self.control.kp_position)
@@ -239,9 +241,9 @@ class GraspEnv:
         """Give the wrist to motion synthesis."""
         held = None
         if fingers != "policy":
-            held = np.clip(self._target if fingers == "target" else self.s.gc, *self._limits)[:, 6:]
+            held = np.clip(self._target if fingers == "target" else self.s.gc, *self._limits)[:, N_WRIST:]
         env = self.config.env
-        self.control = MotionSynthesis(env.action, self.config.motion, held)
+        self.control = MotionSynthesis(env.action, self.config.motion, self.hand.layout, held)
         for i in range(self.num_envs):
             self.worlds.set_gains(i, self.control.kp_position)
 

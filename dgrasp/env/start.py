@@ -7,8 +7,6 @@ from collections.abc import Sequence
 import numpy as np
 
 from dgrasp.config.sections import NoiseConfig
-from dgrasp.hand.free.skin import rest_pose
-from dgrasp.hand.mano.model import MIRROR_ANGLES
 from dgrasp.hand.model import HandModel
 from dgrasp.types import Array, GraspLabel, StartPose
 from raisim_like.rotations import matrix_from_euler
@@ -28,16 +26,7 @@ def start_pose(label: GraspLabel, hand: HandModel) -> StartPose:
     direction = away / distance if distance > 1e-6 else np.array([0.0, 0.0, 1.0])
     T_WH = label.T_WH.copy()
     T_WH[:3, 3] += APPROACH_DISTANCE * direction
-    return StartPose(T_WH, label.T_WO, at_rest(hand))
-
-
-def at_rest(hand: HandModel) -> Array:
-    """(45,) finger angles of a hand at rest: the free model's mean pose, in the place of MANO's, within the limits."""
-    angles = rest_pose()
-    if "_left-" in hand.id:
-        angles = angles * np.tile(MIRROR_ANGLES, 15)
-    clipped: Array = np.clip(angles, *hand.limits[6:].T)
-    return clipped
+    return StartPose(T_WH, label.T_WO, hand.rest)
 
 
 def with_noise(start: StartPose, noise: NoiseConfig, rng: np.random.Generator) -> StartPose:
@@ -46,7 +35,7 @@ def with_noise(start: StartPose, noise: NoiseConfig, rng: np.random.Generator) -
     half = np.array([noise.wrist_xy, noise.wrist_xy, noise.wrist_z])
     T[:3, 3] += rng.uniform(-half, half)
     T[:3, :3] = T[:3, :3] @ matrix_from_euler(rng.uniform(-noise.wrist_angle, noise.wrist_angle, 3))
-    pose = start.hand_pose + rng.uniform(-noise.finger_angle, noise.finger_angle, 45)
+    pose = start.hand_pose + rng.uniform(-noise.finger_angle, noise.finger_angle, len(start.hand_pose))
     return StartPose(T, start.T_WO, pose)
 
 

@@ -11,7 +11,7 @@ from dgrasp.control.motion import Fingers
 from dgrasp.control.wrist import WholeHand, move_wrist
 from dgrasp.env.features import FeatureLayer
 from dgrasp.env.grasp_env import GraspEnv, Mode, Seen
-from dgrasp.hand.mano.skeleton import N_DOF, N_WRIST_DOF
+from dgrasp.hand.layout import N_WRIST
 from dgrasp.motion.targets import training_target
 from dgrasp.rl.collect import Actor
 from dgrasp.scene.relations import relations
@@ -36,12 +36,12 @@ class FlatEnv(TargetEnv):
     """
 
     def _start_control(self) -> Controller:
-        return super()._start_control() if self.mode == "label" else WholeHand(self.config.env)
+        return super()._start_control() if self.mode == "label" else WholeHand(self.config.env, self.hand.layout)
 
     def _aim_joints(self, actions: Array) -> None:
         super()._aim_joints(actions)
         if isinstance(self.control, WholeHand):
-            move_wrist(self._target, self.s, actions[:, :N_WRIST_DOF], self.config.motion, slice(None))
+            move_wrist(self._target, self.s, actions[:, :N_WRIST], self.config.motion, slice(None))
 
     def _begin_motion_control(self, fingers: Fingers) -> None:
         """The policy has it already."""
@@ -64,7 +64,7 @@ class MotionEnv(TargetEnv):
     def __post_init__(self) -> None:
         super().__post_init__()
         env = self.config.env.model_copy(update={"task": "grasp", "critic_features": False})
-        self._grasp_layer = FeatureLayer(env)
+        self._grasp_layer = FeatureLayer(env, self.hand.layout)
         self._moving = np.zeros(self.num_envs, bool)
         """Environments whose wrist the actions move."""
 
@@ -86,16 +86,17 @@ class MotionEnv(TargetEnv):
             self._let_go(~self._moving & (self.clock >= self.config.env.grasp_steps))
         super()._aim_joints(self._grasp_actions())
         rows = np.flatnonzero(self._moving)
-        self._target[rows, :N_WRIST_DOF] = self.s.gc[rows, :N_WRIST_DOF]
+        self._target[rows, :N_WRIST] = self.s.gc[rows, :N_WRIST]
         move_wrist(self._target, self.s, actions, self.config.motion, rows)
 
     def _grasp_actions(self) -> Array:
-        """(N, 51) actions of the frozen policy; zeros where there is nothing to act on."""
+        """(N, D) actions of the frozen policy; zeros where there is nothing to act on."""
         assert self.grasp is not None
         rows = np.flatnonzero(self.alive & self.active)
         phi = np.zeros((self.num_envs, self._grasp_layer.size), np.float32)
         self._grasp_layer(self.s, self.goal, relations(self.s, self.goal), phi)
-        means, actions = np.zeros((len(rows), N_DOF), np.float32), np.zeros((self.num_envs, N_DOF), np.float32)
+        n_dof = self.hand.layout.n_dof
+        means, actions = np.zeros((len(rows), n_dof), np.float32), np.zeros((self.num_envs, n_dof), np.float32)
         self.grasp.means(phi[rows], means)
         actions[rows] = means
         return actions

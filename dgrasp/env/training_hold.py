@@ -6,18 +6,18 @@ import numpy as np
 
 from dgrasp.config.sections import EnvConfig
 from dgrasp.control.controllers import WristHold
-from dgrasp.hand.mano.skeleton import N_DOF
+from dgrasp.hand.layout import HandLayout
 from dgrasp.types import Array, GraspGoal, SceneState
 
 
 class TrainingHold:
     """For N environments; does nothing where `env.hold.first_step` is null. control: the wrist's while it is held."""
 
-    def __init__(self, env: EnvConfig, state: SceneState, n: int) -> None:
-        self.config, self.control = env.hold, WristHold(env.action, state)
+    def __init__(self, env: EnvConfig, hand: HandLayout, state: SceneState, n: int) -> None:
+        self.config, self.control = env.hold, WristHold(env.action, hand, state)
         self.exists = env.hold.first_step is not None
         self._removal, self._drop_height = np.zeros(n, int), np.zeros(n)
-        self._target = np.zeros((n, N_DOF))
+        self._target = np.zeros(state.gc.shape)
 
     def draw(self, i: int, rng: np.random.Generator) -> None:
         """Draw the step at which an episode's table goes."""
@@ -34,7 +34,7 @@ class TrainingHold:
         return rows
 
     def aim(self, state: SceneState, goal: GraspGoal, sigma: Array, target: Array) -> Array:
-        """Writes the PD targets (N, 51) of held hands into `target`; returns the scale of each one's actions."""
+        """Writes the PD targets (N, D) of held hands into `target`; returns the scale of each one's actions."""
         held = state.table_gone > 0
         self.control.bias(state, goal, self._target)
         target[held] = self._target[held]

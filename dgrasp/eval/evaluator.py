@@ -24,15 +24,15 @@ class Recorder:
     """Arrays [T, N, ...] of an evaluation; `records` cuts them into episodes."""
 
     def __init__(self, pool: Pool, steps: int) -> None:
-        n = pool.num_envs
+        n, state = pool.num_envs, pool.state
         self.pool, self.steps, self.t = pool, steps, 0
-        self.gc = np.zeros((steps, n, 51))
+        self.gc = np.zeros((steps, *state.gc.shape))
         self.T_WH = np.zeros((steps, n, 4, 4))
         self.T_WO = np.zeros((steps, n, 4, 4))
         self.T_WG = np.zeros((steps, n, 4, 4))
-        self.joints_W = np.zeros((steps, n, 21, 3))
-        self.contacts = np.zeros((steps, n, 16))
-        self.contact_impulse = np.zeros((steps, n, 16))
+        self.joints_W = np.zeros((steps, *state.joints_W.shape))
+        self.contacts = np.zeros((steps, *state.contacts.shape))
+        self.contact_impulse = np.zeros((steps, *state.contacts.shape))
         self.table_contact = np.zeros((steps, n), bool)
         self.reward = np.zeros((steps, n))
         self.length = np.full(n, steps)

@@ -11,8 +11,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from dgrasp.export.sequence import StoredSequence
+from dgrasp.hand.layout import N_WRIST
 from dgrasp.hand.mano.pose import mano_pose
-from dgrasp.hand.mano.skeleton import DOF_NAMES, KEYPOINTS, PARTS
 from dgrasp.hand.surface import mano_of_hand
 from dgrasp.types import Array
 from dgrasp.view.meshes import table_tops
@@ -29,7 +29,8 @@ def npz_bytes(sequence: StoredSequence, mano: Path | None = None) -> bytes:
         "index": record.label.index, "label_source": record.label.source, "hand": record.label.hand,
         "method": about["method"], "engine": about["engine"], "data": about["data"], "row": about["row"],
         "dt": record.dt, "window_start": record.window_start, "terminated": record.terminated,
-        "joints": list(DOF_NAMES[6:]), "parts": list(PARTS), "keypoints": list(KEYPOINTS), "mano": mano_note(sequence),
+        "joints": list(sequence.names.joints), "parts": list(sequence.names.parts),
+        "keypoints": list(sequence.names.keypoints), "mano": mano_note(sequence),
     }  # fmt: skip
     stream = io.BytesIO()
     packed: dict[str, Any] = {"meta": np.array(json.dumps(meta, allow_nan=False)), **sequence_arrays(sequence, mano)}
@@ -46,7 +47,7 @@ def sequence_arrays(sequence: StoredSequence, mano: Path | None = None) -> dict[
     record = sequence.record
     arrays = {
         "time_s": np.arange(len(record.gc)) * record.dt,
-        "joint_angles": record.gc[:, 6:],
+        "joint_angles": record.gc[:, N_WRIST:],
         "wrist_position": record.T_WH[:, :3, 3],
         "wrist_quaternion": quaternion_from_matrix(record.T_WH[:, :3, :3]),
         "object_position": record.T_WO[:, :3, 3],
@@ -80,12 +81,12 @@ def _mano(sequence: StoredSequence, file: Path | None) -> dict[str, Array]:
     betas[: len(origin["betas"])] = origin["betas"]
     arrays = {
         "mano_global_orient": Rotation.from_matrix(record.T_WH[:, :3, :3]).as_rotvec(),
-        "mano_hand_pose": mano_pose(record.gc[:, 6:]),
+        "mano_hand_pose": mano_pose(record.gc[:, N_WRIST:]),
         "mano_betas": betas,
     }
     root = origin.get("root_joint")
     if file is not None:
-        root = mano_of_hand(file, sequence.meshes.offsets, record.label.hand, origin)[2][0]
+        root = mano_of_hand(file, sequence.meshes.chain.offsets, record.label.hand, origin)[2][0]
     if root is not None:
         arrays["mano_transl"] = record.T_WH[:, :3, 3] - np.asarray(root)
     return arrays

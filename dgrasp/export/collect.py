@@ -14,21 +14,19 @@ from dgrasp.eval.summary import Result
 from dgrasp.export.sequence import StoredSequence
 from dgrasp.hand.free.skin import SKIN_FILE
 from dgrasp.hand.model import HandModel
-from dgrasp.hand.store import built_hand, is_built_hand
+from dgrasp.hand.store import AUTHORS_HAND, built_hand, is_built_hand
 from dgrasp.hand.surface import mano_of_hand
 from dgrasp.pool import PoolSpec
 from dgrasp.scene.scene import LOWERED_TOP, TABLE_TOP
 from dgrasp.types import EpisodeRecord
 from dgrasp.view.meshes import OBJECT_FACES, DisplayMeshes, hand_meshes, light
 
-_AUTHORS_HAND = "mano_mean"
-
 
 def display_meshes(choice: DataChoice, spec: PoolSpec) -> dict[str, DisplayMeshes]:
     """Light meshes of the hand and of each of the objects, by the objects' names."""
     hand = hand_meshes(spec.hand)
     bodies = build_bodies(choice, spec.objects)
-    return {name: DisplayMeshes(spec.hand.offsets, hand, light(entry.body, OBJECT_FACES))
+    return {name: DisplayMeshes(spec.hand.chain, spec.hand.layout.names.parts, hand, light(entry.body, OBJECT_FACES))
             for name, entry in bodies.items()}
 
 
@@ -40,7 +38,7 @@ def mano_origin(choice: DataChoice, hand: HandModel, config: Config) -> dict[str
         if meta["model_file"] == SKIN_FILE:
             return None
         origin = {"side": meta["side"], "betas": [float(beta) for beta in meta["betas"]]}
-    elif hand.id == _AUTHORS_HAND:
+    elif hand.id == AUTHORS_HAND:
         origin = {"side": "right", "betas": []}
     else:
         return None
@@ -62,4 +60,4 @@ def sequences(
     }  # fmt: skip
     for record, row in zip(records, result.per_label, strict=True):
         if len(record.gc):
-            yield StoredSequence(record, meshes[record.label.object_id], {**about, "row": row})
+            yield StoredSequence(record, meshes[record.label.object_id], spec.hand.layout.names, {**about, "row": row})

@@ -17,7 +17,7 @@ from dgrasp.scene.scene import LOWERED_TOP, TABLE_SIZE, TABLE_TOP, TABLE_XY
 from dgrasp.types import Array, EpisodeRecord
 from dgrasp.view.camera import eye, viewpoint
 from dgrasp.view.frames import HAND_COLOR, OBJECT_COLOR, TABLE_COLOR, gif_bytes
-from dgrasp.view.meshes import BODIES, DisplayMeshes, body_poses, table_tops
+from dgrasp.view.meshes import DisplayMeshes, body_poses, table_tops
 from raisim_like.shapes import Shape
 from raisim_like.world import World
 
@@ -45,7 +45,7 @@ def record_pictures(
     try:
         with tempfile.TemporaryDirectory() as folder:
             bodies = {}
-            for body, name in enumerate(BODIES):
+            for body, name in enumerate(meshes.bodies):
                 shape = meshes.object if name == "object" else meshes.hand[body]
                 if len(shape.faces):
                     file = Path(folder) / f"{name}.obj"

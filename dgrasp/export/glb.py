@@ -1,4 +1,4 @@
-"""A sequence as a binary glTF 2.0 file (GLB): 16 hand parts, object and table as nodes with a keyframed animation."""
+"""A sequence as a binary glTF 2.0 file (GLB): hand parts, object and table as nodes with a keyframed animation."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 from dgrasp.export.sequence import StoredSequence
 from dgrasp.scene.scene import TABLE_SIZE, TABLE_XY
 from dgrasp.types import Array
-from dgrasp.view.meshes import BODIES, Mesh, body_poses, table_tops
+from dgrasp.view.meshes import Mesh, body_poses, table_tops
 
 _CREASE = 0.66
 """rad. Faces that meet at a sharper angle keep an edge between them."""
@@ -35,7 +35,7 @@ def glb_bytes(sequence: StoredSequence) -> bytes:
         samplers.append({"input": keys, "output": file.accessor(values, kind), "interpolation": how})
         channels.append({"sampler": len(samplers) - 1, "target": {"node": node, "path": path}})
 
-    for body, name in enumerate(BODIES):
+    for body, name in enumerate(meshes.bodies):
         shape = meshes.object if name == "object" else meshes.hand[body]
         nodes.append({"name": record.label.object_id if name == "object" else name})
         if len(shape.faces):

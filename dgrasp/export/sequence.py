@@ -3,11 +3,15 @@
 Members (T control steps; m, rad, s, world frame with z up; float32 unless said otherwise):
 `meta` a JSON text: method, engine, window_s, timestep_s, dt, window_start, terminated, table, the label's place, the
 result row, the stamp of the data, and of a hand made from MANO its side and betas;
-`gc` (T, 51), `T_WH`, `T_WO` (T, 4, 4), `joints_W` (T, 21, 3), `contact_impulse` (T, 16) N s per substep, `contacts`
-(T, 16) and `table_contact` (T,) bool, `reward` (T,): as in `EpisodeRecord`; `target_T_WO` (4, 4) or (T, 4, 4) where the
+`gc` (T, D), `T_WH`, `T_WO` (T, 4, 4), `joints_W` (T, K, 3), `contact_impulse` (T, P) N s per substep, `contacts`
+(T, P) and `table_contact` (T,) bool, `reward` (T,): as in `EpisodeRecord`; `target_T_WO` (4, 4) or (T, 4, 4) where the
 episode has one; `label_*`: the grasp label, float64;
-`offsets` (16, 3), `mesh_vertices` (V, 3), `mesh_faces` (F, 3) and `mesh_sizes` (17, 2) int32: light meshes of the 16
-parts and the object, one after the other, with each one's numbers of vertices and faces.
+`parents` (P,), `offsets` (P, 3), `joint_parts` (J,), `axes` (J, 3), `joint_frames` (J, 3, 3), `keypoint_parts` (K,),
+`keypoint_offsets` (K, 3): the hand's `Kinematics`, float64 and int64;
+`mesh_vertices` (V, 3), `mesh_faces` (F, 3) and `mesh_sizes` (P + 1, 2) int32: light meshes of the parts and the object,
+one after the other, with each one's numbers of vertices and faces.
+`meta` names the hand's joints, parts and key points. Files of schema 1 have neither names nor kinematics beside
+`offsets`: they are of hands with MANO's joints.
 """
 
 from __future__ import annotations
@@ -16,7 +20,7 @@ import io
 import json
 import os
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
 
@@ -26,17 +30,18 @@ from dgrasp.errors import DataError
 from dgrasp.eval.failures import KINDS
 from dgrasp.files.atomic import write_atomic
 from dgrasp.files.npz import open_npz
+from dgrasp.hand.kinematics import Kinematics
+from dgrasp.hand.layout import N_WRIST, HandNames
+from dgrasp.hand.mano.layout import MANO_NAMES, mano_kinematics
 from dgrasp.types import Array, EpisodeRecord, GraspLabel
-from dgrasp.view.meshes import BODIES, DisplayMeshes, Mesh
+from dgrasp.view.meshes import DisplayMeshes, Mesh
 
-FORMAT, SCHEMA = "dgrasp-sequence", 1
+FORMAT, SCHEMA = "dgrasp-sequence", 2
 MAX_BYTES = 256 * 2**20
 
-_STATES = {
-    "gc": (51,), "T_WH": (4, 4), "T_WO": (4, 4), "joints_W": (21, 3), "contact_impulse": (16,), "contacts": (16,),
-    "table_contact": (), "reward": (),
-}  # fmt: skip
-_LABEL = {"hand_pose": (45,), "T_WH": (4, 4), "T_WO": (4, 4), "joints_W": (21, 3), "goal_contacts": (16,)}
+_STATES = ("gc", "T_WH", "T_WO", "joints_W", "contact_impulse", "contacts", "table_contact", "reward")
+_LABEL = ("hand_pose", "T_WH", "T_WO", "joints_W", "goal_contacts")
+_CHAIN = tuple(field.name for field in fields(Kinematics))
 _MASKS = ("contacts", "table_contact", "goal_contacts")
 _ABOUT = {"method": str, "engine": str, "window_s": float, "timestep_s": float, "dt": float, "window_start": int,
           "terminated": str, "table": dict, "label": dict, "row": dict, "data": dict}
@@ -48,7 +53,7 @@ _NUMBERS = ("lost_s", "mpe_m", "geodesic_rad", "sim_dist_mm_per_step", "contact_
 
 @dataclass(frozen=True, eq=False)
 class StoredSequence:
-    """An evaluated sequence with what draws it.
+    """An evaluated sequence with what draws it, and the names of the hand's joints, parts and key points.
 
     about: method, engine, window_s, timestep_s, table ("top_m", "lowered_m"), row (the result's), data (the stamp), and
     mano: None, or of a hand made from MANO its side, betas and, where known, root_joint (3,) m.
@@ -56,6 +61,7 @@ class StoredSequence:
 
     record: EpisodeRecord
     meshes: DisplayMeshes
+    names: HandNames
     about: dict[str, Any]
 
 
@@ -92,13 +98,14 @@ def write_sequence(path: Path, sequence: StoredSequence) -> None:
         "terminated": record.terminated,
         "label": {"object": label.object_id, "index": label.index, "source": label.source, "hand": label.hand,
                   "on_table": label.on_table},
+        "names": asdict(sequence.names),
     }  # fmt: skip
     bodies = [*meshes.hand, meshes.object]
     arrays: dict[str, Array] = {
         "meta": np.array(json.dumps(meta, allow_nan=False)),
         **{name: _packed(name, getattr(record, name)) for name in _STATES},
         **{f"label_{name}": np.asarray(getattr(label, name)) for name in _LABEL},
-        "offsets": np.asarray(meshes.offsets, dtype=np.float64),
+        **{name: np.asarray(getattr(meshes.chain, name)) for name in _CHAIN},
         "mesh_vertices": np.concatenate([mesh.vertices for mesh in bodies]).astype(np.float32),
         "mesh_faces": np.concatenate([mesh.faces for mesh in bodies]).astype(np.int32),
         "mesh_sizes": np.array([[len(mesh.vertices), len(mesh.faces)] for mesh in bodies], dtype=np.int32),
@@ -122,7 +129,8 @@ def read_sequence(path: Path) -> StoredSequence:
         if "meta.npy" not in archive.names:
             raise DataError(f"{path}: no stored sequence (no member meta); expected a file of `test.py --records DIR`")
         meta = _meta(path, archive.read("meta", "U"))
-        required = [*_STATES, *(f"label_{name}" for name in _LABEL), "offsets", "mesh_vertices", "mesh_faces",
+        chain_members = _CHAIN if meta["schema"] > 1 else ("offsets",)
+        required = [*_STATES, *(f"label_{name}" for name in _LABEL), *chain_members, "mesh_vertices", "mesh_faces",
                     "mesh_sizes"]
         lacking = [name for name in required if f"{name}.npy" not in archive.names]
         if lacking:
@@ -130,16 +138,16 @@ def read_sequence(path: Path) -> StoredSequence:
         a = {name: archive.read(name, "biuf") for name in required}
         target = archive.read("target_T_WO", "f") if "target_T_WO.npy" in archive.names else None
     steps = len(a["gc"]) if a["gc"].ndim else 0
-    shapes = {**{name: (steps, *shape) for name, shape in _STATES.items()},
-              **{f"label_{name}": shape for name, shape in _LABEL.items()},
-              "offsets": (16, 3), "mesh_sizes": (len(BODIES), 2)}
-    for name, shape in shapes.items():
+    names = _names(path, meta)
+    for name, shape in _shapes(names, steps, chain_members).items():
         if a[name].shape != shape:
             raise DataError(f"{path}: {name} has shape {a[name].shape}; expected {shape}; write the file anew")
     if target is not None and target.shape not in ((4, 4), (steps, 4, 4)):
         raise DataError(f"{path}: target_T_WO has shape {target.shape}; expected (4, 4) or {(steps, 4, 4)}")
-    if not np.isfinite(a["offsets"]).all() or not np.isfinite(a["mesh_vertices"]).all():
-        raise DataError(f"{path}: offsets or mesh_vertices hold NaN or infinity; write the file anew")
+    bad = [name for name in (*chain_members, "mesh_vertices") if not np.isfinite(a[name]).all()]
+    if bad:
+        raise DataError(f"{path}: {', '.join(bad)} hold NaN or infinity; write the file anew")
+    chain = _chain(path, a) if meta["schema"] > 1 else mano_kinematics(a["offsets"])
     if not steps:
         raise DataError(f"{path}: the sequence has no steps: its simulation broke at once")
     place = meta["label"]
@@ -153,10 +161,49 @@ def read_sequence(path: Path) -> StoredSequence:
         label=label, **states, window_start=meta["window_start"], dt=meta["dt"], terminated=meta["terminated"],
         target_T_WO=None if target is None else target.astype(np.float64),
     )  # fmt: skip
-    meshes = _meshes(path, a["mesh_vertices"], a["mesh_faces"], a["mesh_sizes"])
+    meshes = _meshes(path, (*names.parts, "object"), a["mesh_vertices"], a["mesh_faces"], a["mesh_sizes"])
     about = {key: meta[key] for key in ("method", "engine", "window_s", "timestep_s", "table", "row", "data")}
-    return StoredSequence(record, DisplayMeshes(a["offsets"], tuple(meshes[:-1]), meshes[-1]),
+    return StoredSequence(record, DisplayMeshes(chain, names.parts, tuple(meshes[:-1]), meshes[-1]), names,
                           {**about, "mano": meta.get("mano")})
+
+
+def _shapes(names: HandNames, steps: int, chain_members: Sequence[str]) -> dict[str, tuple[int, ...]]:
+    """Of the members of a sequence."""
+    joints, parts, points = len(names.joints), len(names.parts), len(names.keypoints)
+    states: dict[str, tuple[int, ...]] = {
+        "gc": (N_WRIST + joints,), "T_WH": (4, 4), "T_WO": (4, 4), "joints_W": (points, 3),
+        "contact_impulse": (parts,), "contacts": (parts,), "table_contact": (), "reward": (),
+    }  # fmt: skip
+    chain: dict[str, tuple[int, ...]] = {
+        "parents": (parts,), "offsets": (parts, 3), "joint_parts": (joints,), "axes": (joints, 3),
+        "joint_frames": (joints, 3, 3), "keypoint_parts": (points,), "keypoint_offsets": (points, 3),
+    }  # fmt: skip
+    label = {"hand_pose": (joints,), "goal_contacts": (parts,)}
+    return {
+        **{name: (steps, *states[name]) for name in _STATES},
+        **{f"label_{name}": label.get(name, states.get(name, ())) for name in _LABEL},
+        **{name: chain[name] for name in chain_members}, "mesh_sizes": (parts + 1, 2),
+    }  # fmt: skip
+
+
+def _names(path: Path, meta: dict[str, Any]) -> HandNames:
+    if meta["schema"] == 1:
+        return MANO_NAMES
+    told = meta.get("names")
+    tables = [told.get(field.name) for field in fields(HandNames)] if isinstance(told, dict) else [None]
+    if not all(isinstance(table, list) and table and all(isinstance(name, str) for name in table) for table in tables):
+        raise DataError(f"{path}: its description does not name joints, parts and key points; write the file anew")
+    return HandNames(*(tuple(table or ()) for table in tables))
+
+
+def _chain(path: Path, a: dict[str, Array]) -> Kinematics:
+    parts, index = len(a["parents"]), np.arange(len(a["parents"]))
+    whole = all(a[name].dtype.kind in "iu" for name in ("parents", "joint_parts", "keypoint_parts"))
+    if not whole or a["parents"][0] != -1 or (a["parents"][1:] >= index[1:]).any() or (a["parents"][1:] < 0).any() or (
+        any((a[name] < 0).any() or (a[name] >= parts).any() for name in ("joint_parts", "keypoint_parts"))
+    ):
+        raise DataError(f"{path}: parents, joint_parts or keypoint_parts name no parts of the hand; write it anew")
+    return Kinematics(**{name: a[name] for name in _CHAIN})
 
 
 def _no_constant(text: str) -> float:
@@ -170,9 +217,9 @@ def _meta(path: Path, text: Array) -> dict[str, Any]:
         meta = None
     if not isinstance(meta, dict) or meta.get("format") != FORMAT:
         raise DataError(f"{path}: no stored sequence; expected a file of `test.py --records DIR`")
-    if meta.get("schema") != SCHEMA:
-        raise DataError(f"{path}: schema {meta.get('schema')}; this program reads {SCHEMA}; write the file anew with "
-                        "`test.py --records DIR`")
+    if meta.get("schema") not in (1, SCHEMA):
+        raise DataError(f"{path}: schema {meta.get('schema')}; this program reads 1 to {SCHEMA}; write the file anew "
+                        "with `test.py --records DIR`")
     wrong = [key for key, kind in _ABOUT.items() if not isinstance(meta.get(key), kind)]
     if not wrong:
         label, table, mano = meta["label"], meta["table"], meta.get("mano")
@@ -195,7 +242,7 @@ def _meta(path: Path, text: Array) -> dict[str, Any]:
     return meta
 
 
-def _meshes(path: Path, vertices: Array, faces: Array, sizes: Array) -> list[Mesh]:
+def _meshes(path: Path, bodies: Sequence[str], vertices: Array, faces: Array, sizes: Array) -> list[Mesh]:
     if vertices.ndim != 2 or faces.ndim != 2 or vertices.shape[1] != 3 or faces.shape[1] != 3 or (sizes < 0).any() or (
         tuple(sizes.sum(axis=0)) != (len(vertices), len(faces))
     ):
@@ -205,7 +252,7 @@ def _meshes(path: Path, vertices: Array, faces: Array, sizes: Array) -> list[Mes
     for n_vertices, n_faces in sizes.tolist():
         own = faces[f : f + n_faces]
         if n_faces and not 0 <= own.min() <= own.max() < n_vertices:
-            raise DataError(f"{path}: a face of {BODIES[len(meshes)]} has a vertex that is not there")
+            raise DataError(f"{path}: a face of {bodies[len(meshes)]} has a vertex that is not there")
         meshes.append(Mesh(vertices[v : v + n_vertices].astype(np.float64), own.astype(np.int64)))
         v, f = v + n_vertices, f + n_faces
     return meshes

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 
 from dgrasp.errors import DataError
-from dgrasp.hand.mano.skeleton import N_PARTS, PART_PARENT
 from dgrasp.hand.model import HandModel
 from dgrasp.types import Array
-from raisim_like.rotations import matrix_from_euler, matrix_from_quaternion
+from raisim_like.rotations import matrix_from_quaternion
 from raisim_like.shapes import Shape
 
 CONTACT_DISTANCE = 0.015
@@ -23,11 +21,15 @@ _FACE_SPACING = 0.015
 
 @dataclass(frozen=True)
 class HandSpheres:
-    """The hand's collision shapes as spheres: (P, 3) centres in their parts' frames, (P,) radii, (P,) parts."""
+    """The hand's collision shapes as spheres: (P, 3) centres in their parts' frames, (P,) radii, (P,) parts.
+
+    n_parts: how many parts the hand has.
+    """
 
     centers: Array
     radii: Array
     parts: Array
+    n_parts: int
 
     @classmethod
     def of_hand(cls, hand: HandModel) -> HandSpheres:
@@ -35,7 +37,7 @@ class HandSpheres:
         centers: list[Array] = []
         radii: list[Array] = []
         parts: list[Array] = []
-        for part in range(N_PARTS):
+        for part in range(hand.layout.n_parts):
             for shape in hand.urdf.links[int(hand.part_links[part])].shapes:
                 local, radius = _spheres(shape)
                 R = matrix_from_quaternion(np.array(shape.quaternion))
@@ -45,24 +47,24 @@ class HandSpheres:
         if not centers:
             raise DataError(f"hand {hand.id}: it has no collision shapes, so that nothing can be measured on them; "
                             "expected one whose parts have some")
-        return cls(np.concatenate(centers), np.concatenate(radii), np.concatenate(parts))
+        return cls(np.concatenate(centers), np.concatenate(radii), np.concatenate(parts), hand.layout.n_parts)
 
     def take(self, rows: Array) -> HandSpheres:
         """The spheres of these rows (a mask)."""
-        return HandSpheres(self.centers[rows], self.radii[rows], self.parts[rows])
+        return HandSpheres(self.centers[rows], self.radii[rows], self.parts[rows], self.n_parts)
 
     def place(self, R: Array, t: Array) -> Array:
-        """(N, P, 3) centres for part poses R (N, 16, 3, 3), t (N, 16, 3)."""
+        """(N, P, 3) centres for the frames of the parts, as `Kinematics.part_frames` gives them."""
         out = np.empty((len(R), len(self.radii), 3))
-        for part in range(N_PARTS):
+        for part in range(self.n_parts):
             mine = self.parts == part
             out[:, mine] = np.matmul(self.centers[mine], np.swapaxes(R[:, part], 1, 2)) + t[:, part, None]
         return out
 
     def per_part(self, distances: Array) -> Array:
-        """(N, 16) smallest distance of each part's surface, from distances (N, P) of the centres."""
-        out = np.full((len(distances), N_PARTS), np.inf)
-        for part in range(N_PARTS):
+        """(N, number of parts) smallest distance of each part's surface, from distances (N, P) of the centres."""
+        out = np.full((len(distances), self.n_parts), np.inf)
+        for part in range(self.n_parts):
             mine = self.parts == part
             if mine.any():
                 out[:, part] = (distances[:, mine] - self.radii[mine]).min(axis=1)
@@ -85,24 +87,3 @@ def _spheres(shape: Shape) -> tuple[Array, float]:
     grid = np.stack(np.meshgrid(*grids, indexing="ij"), axis=-1).reshape(-1, 3)
     on_face = (np.abs(grid) >= np.array(shape.size) / 2 - 1e-12).any(axis=1)
     return grid[on_face], 0.0
-
-
-class Chain(Protocol):
-    """What the parts' poses need of a hand."""
-
-    @property
-    def offsets(self) -> Array:
-        """(16, 3) m: origin of each part in its parent part's frame."""
-
-
-def part_poses(hand: Chain, T_WH: Array, hand_pose: Array) -> tuple[Array, Array]:
-    """World rotations (N, 16, 3, 3) and origins (N, 16, 3) of the parts, for T_WH (N, 4, 4), hand_pose (N, 45)."""
-    n = len(T_WH)
-    turn = matrix_from_euler(hand_pose.reshape(n, N_PARTS - 1, 3))
-    R, t = np.empty((n, N_PARTS, 3, 3)), np.empty((n, N_PARTS, 3))
-    R[:, 0], t[:, 0] = T_WH[:, :3, :3], T_WH[:, :3, 3]
-    for part in range(1, N_PARTS):
-        parent = PART_PARENT[part]
-        t[:, part] = t[:, parent] + np.matmul(R[:, parent], hand.offsets[part])
-        R[:, part] = np.matmul(R[:, parent], turn[:, part - 1])
-    return R, t

@@ -9,21 +9,44 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from dgrasp.errors import DataError
 from dgrasp.files.paths import data_root
 from dgrasp.hand.free.skin import HAND_NAME as FREE_HAND
+from dgrasp.hand.layout import Side
+from dgrasp.hand.load import load_hand
 from dgrasp.hand.mano.skeleton import PARTS
-from dgrasp.hand.model import HandModel, load_hand
+from dgrasp.hand.model import HandModel
 from raisim_like.errors import UrdfError
 from raisim_like.urdf import read_urdf
 
 URDF_FILE, META_FILE = "hand.urdf", "hand.json"
 FORMAT, SCHEMA = "dgrasp-hand", 1
-_AUTHORS_HANDS = ("mano_mean", "mano_mean_meshcoll", "mano_mean_nocoll")
+FREE_URDF = Path("free_hand.urdf")
+AUTHORS_HAND = "mano_mean"
+_AUTHORS_HANDS = (AUTHORS_HAND, "mano_mean_meshcoll", "mano_mean_nocoll")
+
+
+@dataclass(frozen=True)
+class HandSource:
+    """Where a hand comes from, and what its URDF does not say.
+
+    side, weight_carried, mano: as `load.load_hand` takes them. meta: hand.json of a built hand, else empty.
+    """
+
+    urdf: Path
+    id: str
+    side: Side | None = "right"
+    weight_carried: bool = True
+    mano: bool = False
+    meta: dict[str, Any] = field(default_factory=dict)
+
+    def load(self) -> HandModel:
+        """The hand; a `DataError` says what is wrong with its URDF."""
+        return load_hand(self.urdf, self.id, self.side, self.weight_carried, self.mano)
 
 
 @dataclass(frozen=True)
@@ -87,30 +110,44 @@ def _is_figures(row: Any) -> bool:
     return isinstance(row, dict) and all(isinstance(row.get(key), float) for key in ("overlap", "mesh_volume_cm3"))
 
 
-def find_hand(name: str) -> tuple[Path, str] | None:
-    """URDF and id of a hand by folder or URDF file; None where there is neither.
+def find_hand(name: str) -> HandSource | None:
+    """A hand by folder or URDF file; None where there is neither.
 
     A URDF's id is its file's name without the suffix; the variants of the authors' hand are all "mano_mean".
     """
     path = Path(os.path.expanduser(name))
     if os.path.isdir(path) and is_built_hand(path):
-        return built_hand(path)[:2]
+        return _built_source(path)
     if not os.path.isfile(path):
         return None
     if path.name == URDF_FILE and is_built_hand(path.parent):
-        return built_hand(path.parent)[:2]
-    if path.stem == "free_hand":
-        return path, FREE_HAND
-    return path, _AUTHORS_HANDS[0] if path.stem in _AUTHORS_HANDS else path.stem
+        return _built_source(path.parent)
+    if path.stem == FREE_URDF.stem:
+        return free_source(path)
+    return authors_source(path) if path.stem in _AUTHORS_HANDS else HandSource(path, path.stem)
+
+
+def free_source(urdf: Path) -> HandSource:
+    """The free hand."""
+    return HandSource(urdf, FREE_HAND, mano=True)
+
+
+def authors_source(urdf: Path) -> HandSource:
+    """The hand of the authors' release. Its palm has its mass on the first slider, so that it needs no arm."""
+    return HandSource(urdf, AUTHORS_HAND, weight_carried=False, mano=True)
+
+
+def _built_source(folder: Path) -> HandSource:
+    urdf, identity, meta = built_hand(folder)
+    return HandSource(urdf, identity, meta["side"], mano=True, meta=meta)
 
 
 def open_hand(name: str) -> NamedHand:
     """A hand by name: "free", a built hand's folder, or a URDF file. A `DataError` says what else was given."""
     if name == FREE_HAND and not os.path.exists(name):
-        return NamedHand(load_hand(data_root() / "free" / "hand" / "free_hand.urdf", FREE_HAND), {})
-    found = find_hand(name)
-    if found is None:
+        source: HandSource | None = free_source(data_root() / "free" / "hand" / FREE_URDF)
+    else:
+        source = find_hand(name)
+    if source is None:
         raise DataError(f"{name}: no hand; expected \"free\", a folder written by `dgrasp hand build`, or a URDF file")
-    urdf, identity = found
-    meta = built_hand(urdf.parent)[2] if is_built_hand(urdf.parent) and urdf.name == URDF_FILE else {}
-    return NamedHand(load_hand(urdf, identity), meta)
+    return NamedHand(source.load(), source.meta)

@@ -18,7 +18,6 @@ from dgrasp.hand.mano.model import ManoModel, mirror_mano
 from dgrasp.hand.mano.skeleton import N_PARTS, PART_PARENT
 from dgrasp.hand.mano.skinning import numpy_skin
 from dgrasp.hand.model import HandModel
-from dgrasp.hand.spheres import part_poses
 from dgrasp.types import Array
 from raisim_like.rotations import matrix_from_euler, transform
 from raisim_like.shapes import Shape
@@ -36,11 +35,11 @@ class HandSurface(Protocol):
     kind: str
 
     def pieces(self, T_AH: Array, hand_pose: Array) -> list[Body]:
-        """Closed bodies in frame A whose union is the hand, for its wrist (4, 4) and finger angles (45,)."""
+        """Closed bodies in frame A whose union is the hand, for its wrist (4, 4) and finger angles (J,)."""
 
 
 class RigidSurface:
-    """Bodies that move with the 16 parts: pieces[i] (in its part's frame) moves with parts[i]."""
+    """Bodies that move with the parts: pieces[i] (in its part's frame) moves with parts[i]."""
 
     def __init__(self, kind: str, hand: HandModel, parts: list[int], pieces: list[Body]) -> None:
         self.kind, self._hand, self._parts, self._pieces = kind, hand, parts, pieces
@@ -50,7 +49,7 @@ class RigidSurface:
         return [piece for p, piece in zip(self._parts, self._pieces, strict=True) if p == part]
 
     def pieces(self, T_AH: Array, hand_pose: Array) -> list[Body]:
-        R, t = part_poses(self._hand, T_AH[None], hand_pose[None])
+        R, t = self._hand.part_poses(T_AH[None], hand_pose[None])
         return [piece.placed(transform(R[0, part], t[0, part]))
                 for part, piece in zip(self._parts, self._pieces, strict=True)]
 
@@ -89,9 +88,9 @@ def rigid_surface(hand: HandModel) -> RigidSurface:
     """The part meshes, of the free hand its skin's, else the collision shapes; a `DataError` where there is neither."""
     meshes = _part_meshes(hand) or _skin_parts(hand)
     if meshes is not None:
-        return RigidSurface(PART_MESHES, hand, list(range(N_PARTS)), meshes)
+        return RigidSurface(PART_MESHES, hand, list(range(hand.layout.n_parts)), meshes)
     parts, pieces = [], []
-    for part in range(N_PARTS):
+    for part in range(hand.layout.n_parts):
         for shape in hand.urdf.links[int(hand.part_links[part])].shapes:
             parts.append(part)
             pieces.append(body([shape_mesh(shape)]))
@@ -149,14 +148,16 @@ def _shaped(model: ManoModel, meta: dict[str, Any]) -> tuple[ManoModel, Array, A
 
 
 def _apart(joints: Array, offsets: Array) -> float:
-    """m: how far joints (16, 3) are at most from where a hand with these offsets (16, 3) has them."""
+    """m: how far MANO's joints are at most from where a hand with these offsets has them; inf for other joints."""
+    if len(offsets) != N_PARTS:
+        return float("inf")
     own = np.array([joints[i] - joints[PART_PARENT[i]] for i in range(1, N_PARTS)])
     return float(np.linalg.norm(own - offsets[1:], axis=1).max())
 
 
 def _part_meshes(hand: HandModel) -> list[Body] | None:
-    """The 16 parts' visual meshes, one body per part; None unless every part has one that is there."""
-    visuals: list[list[tuple[Array, Array]]] = [[] for _ in range(N_PARTS)]
+    """The parts' visual meshes, one body per part; None unless every part has one that is there."""
+    visuals: list[list[tuple[Array, Array]]] = [[] for _ in range(hand.layout.n_parts)]
     part_of = {int(link): part for part, link in enumerate(hand.part_links)}
     text = hand.urdf.path.read_text(encoding="utf-8")
     # As in `read_urdf`, which has read the file before: a wrong XML version does no harm.

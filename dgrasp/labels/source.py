@@ -10,8 +10,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from dgrasp.errors import DataError
+from dgrasp.hand.layout import HandNames
+from dgrasp.hand.mano.layout import MANO_NAMES
 from dgrasp.labels.formats import official
-from dgrasp.labels.formats.native import read_native_with_meta
+from dgrasp.labels.formats.native import names_of, read_native_with_meta
 from dgrasp.labels.splits import object_set
 from dgrasp.objects.names import nearest, resolve_object
 from dgrasp.types import GraspLabel
@@ -36,13 +38,15 @@ _LICENCES = {"dexycb": f"DexYCB CC BY-NC 4.0; {_MANO_TERMS}"}
 class LabelSet:
     """The labels of one file.
 
-    labels: in the file's order. hand: id of the hand they were made for. licence: the file's terms.
-    source: the file. sha256: of its bytes. published_as: (source, split) for a file of the authors' release,
-    else None. comparable_with_paper: whether the paper's tables are about these labels.
+    labels: in the file's order. hand: id of the hand they were made for. names: the joints, parts and key points that
+    the arrays are about. licence: the file's terms. source: the file. sha256: of its bytes. published_as: (source,
+    split) for a file of the authors' release, else None. comparable_with_paper: whether the paper's tables are about
+    these labels.
     """
 
     labels: list[GraspLabel]
     hand: str
+    names: HandNames
     licence: str
     source: Path
     sha256: str
@@ -78,12 +82,12 @@ def load_labels(path: Path) -> LabelSet:
         raise DataError(f"{path}: cannot be read ({error.strerror or error})") from None
     if head.startswith(b"PK"):
         labels, meta = read_native_with_meta(path)
-        return LabelSet(labels, meta["hand"], meta["licence"], path, sha256_of(path), None, False)
+        return LabelSet(labels, meta["hand"], names_of(meta), meta["licence"], path, sha256_of(path), None, False)
     if head.startswith(b"\x80"):
         labels = official.read_official(path)
         known = next((key for key, name in RELEASE_FILES.items() if name == path.name), None)
         licence = _LICENCES.get(known[0] if known else "", _MANO_TERMS)
-        return LabelSet(labels, official.HAND, licence, path, sha256_of(path), known, known is not None)
+        return LabelSet(labels, official.HAND, MANO_NAMES, licence, path, sha256_of(path), known, known is not None)
     raise DataError(f"{path}: neither a joblib pickle nor a .npz file (it begins with {head!r}); expected a release's "
                     ".pkl or a .npz written by `dgrasp labels`")
 

@@ -10,7 +10,6 @@ import numpy as np
 from dgrasp.env.goal import make_goal
 from dgrasp.geometry.intersection import Body
 from dgrasp.hand.inverse import fit_keypoints
-from dgrasp.hand.mano.skeleton import N_KEYPOINTS, N_PARTS
 from dgrasp.hand.model import HandModel
 from dgrasp.hand.spheres import CONTACT_DISTANCE
 from dgrasp.methods.pd import PdBaseline
@@ -43,9 +42,9 @@ def correct_labels(
     """
     joints_O = make_goal(labels).joints_O
     closest = closest_points(labels, joints_O, objects)
-    touching = contact_keypoints(
-        np.array([label.goal_contacts for label in labels], dtype=bool), np.linalg.norm(closest - joints_O, axis=2)
-    )
+    goal_contacts = np.array([label.goal_contacts for label in labels], dtype=bool)
+    distances = np.linalg.norm(closest - joints_O, axis=2)
+    touching = contact_keypoints(hand.chain.keypoint_parts, goal_contacts, distances)
     targets = np.where(touching[..., None], closest, joints_O)
     T_WO = np.array([label.T_WO for label in labels])
     T_OH = np.linalg.inv(T_WO) @ np.array([label.T_WH for label in labels])
@@ -59,7 +58,7 @@ def correct_labels(
 
 
 def closest_points(labels: Sequence[GraspLabel], joints_O: Array, objects: Mapping[str, Body]) -> Array:
-    """(N, 21, 3) m: for key points (N, 21, 3) the closest points of the labels' objects, in O, `SPACING` apart."""
+    """(N, K, 3) m: for key points (N, K, 3) the closest points of the labels' objects, in O, `SPACING` apart."""
     from scipy.spatial import cKDTree
 
     closest = np.empty_like(joints_O)
@@ -71,17 +70,16 @@ def closest_points(labels: Sequence[GraspLabel], joints_O: Array, objects: Mappi
     return closest
 
 
-def contact_keypoints(goal_contacts: Array, distances: Array) -> Array:
-    """(N, 21) bool: the key points that stand for goal contacts (N, 16), from their distances (N, 21) m to the object.
+def contact_keypoints(keypoint_parts: Array, goal_contacts: Array, distances: Array) -> Array:
+    """(N, K) bool: the key points that stand for goal contacts (N, P), from their distances (N, K) m to the object.
 
-    A finger part has the key point of its joint, the last one the fingertip too. Of a part that should touch, those
-    within 0.015 m count, which is how the authors' labels were made; the closer one where none is. The palm has none,
-    as the wrist is not where a palm touches.
+    keypoint_parts (K,): the part that each belongs to. A finger part has the key point of its joint, the last one the
+    fingertip too. Of a part that should touch, those within 0.015 m count, which is how the authors' labels were made;
+    the closer one where none is. The palm has none, as the wrist is not where a palm touches.
     """
-    chosen = np.zeros((len(goal_contacts), N_KEYPOINTS), bool)
-    for part in range(1, N_PARTS):
-        finger, segment = divmod(part - 1, 3)
-        own = np.arange(1 + 4 * finger + segment, 2 + 4 * finger + segment + (segment == 2))
+    chosen = np.zeros(distances.shape, bool)
+    for part in range(1, goal_contacts.shape[1]):
+        own = np.flatnonzero(keypoint_parts == part)
         near = distances[:, own] <= CONTACT_DISTANCE
         nearest = distances[:, own] == distances[:, own].min(axis=1, keepdims=True)
         chosen[:, own] = goal_contacts[:, part, None] & (near | (nearest & ~near.any(axis=1, keepdims=True)))

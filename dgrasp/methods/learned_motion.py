@@ -8,6 +8,7 @@ from dgrasp.config.experiment import Config
 from dgrasp.config.sections import SENSES, EnvConfig
 from dgrasp.env.features import FeatureLayer
 from dgrasp.errors import ConfigError
+from dgrasp.hand.layout import HandLayout
 from dgrasp.methods.policy import PolicyMethod
 from dgrasp.rl.networks import Policy
 from dgrasp.rl.run.policies import SavedPolicy, read_policy
@@ -26,8 +27,11 @@ class LearnedMotion(PolicyMethod):
         super().__init__(policy, self.name)
 
 
-def grasping_policy(config: Config) -> Policy:
-    """The policy of `motion.policy`; `ConfigError` if it is not named, or would not see and do what it learned."""
+def grasping_policy(config: Config, hand: HandLayout | None = None) -> Policy:
+    """The policy of `motion.policy`; `ConfigError` if it is not named, or would not see and do what it learned.
+
+    hand: the hand that it is to move, where that is known already.
+    """
     if config.motion.policy is None:
         raise ConfigError("motion.policy: expected the checkpoint of a grasping policy, such as "
                           "motion.policy=runs/dexycb_1/best.pt or one of the authors'")
@@ -37,7 +41,7 @@ def grasping_policy(config: Config) -> Policy:
         raise ConfigError(f"motion.policy: {path} is a policy of task {saved.task}; expected one of task grasp")
     env = config.env.model_copy(update={"task": "grasp", "critic_features": False})
     _check_env(saved, env, path)
-    expected = FeatureLayer(env).size
+    expected = saved.policy.actor_size if hand is None else FeatureLayer(env, hand).size
     if saved.policy.actor_size != expected:
         raise ConfigError(f"motion.policy: {path} sees {saved.policy.actor_size} numbers; expected the {expected} of "
                           f"env.features={env.features}")

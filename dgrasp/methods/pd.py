@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 
 from dgrasp.env.grasp_env import Mode
-from dgrasp.hand.mano.skeleton import N_DOF
 from dgrasp.types import Array
 
 
@@ -16,5 +15,5 @@ class PdBaseline:
     mode: Mode = "label"
 
     def act(self, observation: Array) -> Array:
-        """Zeros (N, 51)."""
-        return np.zeros((len(observation), N_DOF), np.float32)
+        """Zeros (N, 1), which broadcast to all joints."""
+        return np.zeros((len(observation), 1), np.float32)

@@ -7,7 +7,6 @@ from typing import Protocol
 import numpy as np
 
 from dgrasp.env.grasp_env import Mode
-from dgrasp.hand.mano.skeleton import N_DOF
 from dgrasp.rl.collect import Actor
 from dgrasp.rl.networks import Policy
 from dgrasp.types import Array
@@ -20,7 +19,7 @@ class Method(Protocol):
     mode: Mode
 
     def act(self, observation: Array) -> Array:
-        """Actions (N, 51) for observations (N, O)."""
+        """Actions (N, A) for observations (N, O)."""
 
 
 class PolicyMethod:
@@ -47,6 +46,6 @@ class FrozenGrasp:
         self._actor = actor
 
     def act(self, observation: Array) -> Array:
-        actions = np.empty((len(observation), N_DOF), np.float32)
+        actions = np.empty((len(observation), len(self._actor.std)), np.float32)
         self._actor.means(observation, actions)
         return actions

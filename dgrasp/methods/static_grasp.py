@@ -23,5 +23,5 @@ class StaticGrasp:
         self.mode: Mode = self.grasp.mode
 
     def act(self, observation: Array) -> Array:
-        """Actions (N, 51) of the grasp."""
+        """Actions (N, D) of the grasp."""
         return np.asarray(self.grasp.act(observation))

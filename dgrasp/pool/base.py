@@ -13,7 +13,6 @@ from dgrasp.env.grasp_env import GraspEnv, Mode
 from dgrasp.env.rewards import Reward
 from dgrasp.env.target_env import FlatEnv, MotionEnv
 from dgrasp.errors import DGraspError
-from dgrasp.hand.mano.skeleton import ACTION_SIZES
 from dgrasp.hand.model import HandModel
 from dgrasp.objects.model import ObjectModel
 from dgrasp.rl.collect import Actor, Incident
@@ -61,11 +60,11 @@ class SizedPool:
         self.labels = spec.labels
         self.num_envs = len(spec.labels)
         self.names = tuple(label.name for label in spec.labels)
-        env = spec.config.env
-        self.action_size = ACTION_SIZES[env.task]
-        layer = FeatureLayer(env)
+        env, self.hand = spec.config.env, spec.hand.layout
+        self.action_size = self.hand.action_size(env.task)
+        layer = FeatureLayer(env, self.hand)
         self.observation_size, self.actor_size = layer.size, layer.actor_size
-        self.reward_terms = Reward(env.reward, env.task).names
+        self.reward_terms = Reward(env.reward, self.hand, env.task).names
         self._events: list[str] = []
         self._incidents: list[Incident] = []
 

@@ -76,7 +76,7 @@ class ProcessPool(SizedPool):
         super().__init__(spec)
         self._spec, self._deadline_s = spec, spec.config.pool.hang_s
         self._workers = max(1, min(workers, self.num_envs))
-        sizes = (self.num_envs, self.observation_size, self.action_size, len(self.reward_terms))
+        sizes = (self.num_envs, self.hand, self.observation_size, self.action_size, len(self.reward_terms))
         self._shared = Shared(*sizes, self._workers)
         self.state = self._shared.state
         self._collected: SharedMemory | None = None

@@ -27,7 +27,7 @@ from dgrasp.pool.base import PoolError, PoolSpec, SizedPool, WorkerLost, as_step
 from dgrasp.pool.worker import Told
 from dgrasp.rl.collect import Actor, Incident, Trajectories, collect
 from dgrasp.rl.vec_env import Step
-from dgrasp.scene.state import STATE_SIZE, StepArrays, copy_state, state_views
+from dgrasp.scene.state import StepArrays, copy_state, state_size, state_views
 from dgrasp.types import Array
 
 _POLL_S = 0.2
@@ -59,8 +59,8 @@ class Rollouts:
     def __init__(self, spec: PoolSpec, rows: slice) -> None:
         self.env = make_env(spec, rows)
         self.indices = self.env.indices
-        self._block = np.zeros(self.env.num_envs * STATE_SIZE)
-        self._state = state_views(self.env.num_envs, self._block)
+        self._block = np.zeros(self.env.num_envs * state_size(spec.hand.layout))
+        self._state = state_views(self.env.num_envs, spec.hand.layout, self._block)
         self._trajectories: Trajectories | None = None
 
     def process_id(self) -> int:
@@ -124,7 +124,7 @@ class RayPool(SizedPool):
         except BaseException:
             self.close()
             raise
-        self.state = state_views(self.num_envs)
+        self.state = state_views(self.num_envs, self.hand)
         self._out = StepArrays.allocate(self.num_envs, self.observation_size, len(self.reward_terms))
         self._trajectories: Trajectories | None = None
         self._lost, self._losses = 0, [0] * self._workers
@@ -293,7 +293,7 @@ class RayPool(SizedPool):
             rows = self._rows[w]
             for name, array in seen.arrays.items():
                 getattr(self._out, name)[rows] = array
-            copy_state(state_views(len(range(self.num_envs)[rows]), seen.state), self.state, rows)
+            copy_state(state_views(len(range(self.num_envs)[rows]), self.hand, seen.state), self.state, rows)
 
     def _all(self, call: Callable[[int], Any]) -> list[Any]:
         """Every actor's answer. Lost ones are replaced, and then `WorkerLost` says that they gave none."""

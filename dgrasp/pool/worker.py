@@ -14,9 +14,10 @@ import numpy as np
 
 from dgrasp.control.motion import Fingers
 from dgrasp.env.grasp_env import GraspEnv, Mode
+from dgrasp.hand.layout import HandLayout
 from dgrasp.pool.base import PoolSpec, make_env
 from dgrasp.rl.collect import Actor, Incident, Trajectories, collect
-from dgrasp.scene.state import STATE_SIZE, StepArrays, copy_state, state_views
+from dgrasp.scene.state import StepArrays, copy_state, state_size, state_views
 from dgrasp.types import Array, SceneState
 
 OK, FAILED = b"k", b"e"
@@ -44,10 +45,11 @@ class Shared:
     """The arrays of all N environments for steps from outside, and what a collection needs beside them."""
 
     def __init__(
-        self, n: int, observation_size: int, action_size: int, n_terms: int, workers: int, name: str | None = None
+        self, n: int, hand: HandLayout, observation_size: int, action_size: int, n_terms: int, workers: int,
+        name: str | None = None,
     ) -> None:
         layout: Layout = {
-            "state": ((n * STATE_SIZE,), np.float64),
+            "state": ((n * state_size(hand),), np.float64),
             "counts": ((workers,), np.int64),
             "actions": ((n, action_size), np.float32),
             "observation": ((n, observation_size), np.float32),
@@ -60,7 +62,7 @@ class Shared:
             "stop": ((1,), np.bool_),
         }
         self.memory, arrays = shared_arrays(layout, name)
-        self.state: SceneState = state_views(n, arrays.pop("state"))
+        self.state: SceneState = state_views(n, hand, arrays.pop("state"))
         self.actions: Array = arrays.pop("actions")
         self.counts: Array = arrays.pop("counts")
         """Control steps that each worker has made in this collection."""
@@ -93,8 +95,8 @@ class Worker:
         self._conn, self._spec, self._w = conn, spec, w
         self.env = self._make(rows)
         env = self.env
-        sizes = (len(spec.labels), env.observation_size, env.action_size, len(env.reward_terms), workers)
-        self._shared = Shared(*sizes, name=memory)
+        sizes = (len(spec.labels), spec.hand.layout, env.observation_size, env.action_size, len(env.reward_terms))
+        self._shared = Shared(*sizes, workers, name=memory)
         self._memory: SharedMemory | None = None
         self._trajectories: Trajectories | None = None
         self._incidents: list[Incident] = []

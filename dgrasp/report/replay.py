@@ -2,8 +2,8 @@
 
 A mesh: `lo` (3,) and `step` (m) unpack `v` (V x 3, uint16); `f` are faces (F x 3, uint16). A replay of n frames: `p`
 (n x B x 3, uint16) are positions by its own `lo` and `step`, `q` (n x B x 4, int16) quaternions w, x, y, z times
-32767, `c` (n, uint16) a bit for each part that touches the object. Little endian. The B bodies are those of
-`view.meshes.BODIES`, and where the object is moved, one more for its target.
+32767, `c` (n, uint32) a bit for each part that touches the object. Little endian. The B bodies are those of
+`DisplayMeshes.bodies`, and where the object is moved, one more for its target.
 """
 
 from __future__ import annotations
@@ -81,7 +81,8 @@ def _replay(group: str, record: EpisodeRecord, row: Row, meshes: DisplayMeshes) 
     t = np.clip(t, t[0, 0] - REACH, t[0, 0] + REACH)
     target, yaw = viewpoint(record)
     lo, step, places = _quantised(t)
-    bits = (np.asarray(record.contacts)[::stride] > 0.0) @ (1 << np.arange(16))
+    touching = np.asarray(record.contacts)[::stride] > 0.0
+    bits = touching @ (1 << np.arange(touching.shape[1]))
     shown = ("sim_dist_mm_per_step", "contact_ratio", "interpenetration_cm3", "mpe_m", "geodesic_rad")
     return {
         "group": group, "object": row["object"], "index": row["index"],
@@ -91,7 +92,7 @@ def _replay(group: str, record: EpisodeRecord, row: Row, meshes: DisplayMeshes) 
         "stays": record.table_stays,
         "yaw": round(yaw, 3), "target": [round(float(x), 4) for x in target],
         "lo": lo, "step": step, "p": _text(places, "<u2"), "q": _text(np.rint(q * 32767.0), "<i2"),
-        "c": _text(bits, "<u2"),
+        "c": _text(bits, "<u4"),
     }  # fmt: skip
 
 

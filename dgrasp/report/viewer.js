@@ -47,7 +47,7 @@ const Replays = (() => {
       ...r,
       p: new Uint16Array(bytes(r.p).buffer),
       q: new Int16Array(bytes(r.q).buffer),
-      c: new Uint16Array(bytes(r.c).buffer),
+      c: new Uint32Array(bytes(r.c).buffer),
     }));
     return { hand: data.hand.map(geometry), objects, replays, table: data.table };
   }

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from dgrasp.hand.layout import N_WRIST
 from dgrasp.types import Array, GraspGoal, SceneState
 from raisim_like.rotations import euler_from_matrix, matrix_from_euler, rotate, rotation_vector
 
@@ -14,8 +15,8 @@ from raisim_like.rotations import euler_from_matrix, matrix_from_euler, rotate, 
 class Relations:
     """What features and rewards share about N states, computed once per control step.
 
-    joint_position_error_H: (N, 21, 3), goal minus current key points, in the wrist frame (g_x).
-    pose_error: (N, 48), wrist Euler angles in the object frame, then finger angles; goal minus current (g_q).
+    joint_position_error_H: (N, K, 3), goal minus current key points, in the wrist frame (g_x).
+    pose_error: (N, 3 + J), wrist Euler angles in the object frame, then finger angles; goal minus current (g_q).
     """
 
     joint_position_error_H: Array
@@ -27,10 +28,10 @@ def relations(state: SceneState, goal: GraspGoal) -> Relations:
     n = len(state.gc)
     target_W = state.object_pos_W[:, None] + np.matmul(goal.joints_O, np.swapaxes(state.R_WO, 1, 2))
     error_H = np.matmul(target_W - state.joints_W, state.R_WH)
-    pose = np.empty((n, 48))
+    pose = np.empty((n, 3 + goal.hand_pose.shape[1]))
     R_OH = np.matmul(np.swapaxes(state.R_WO, 1, 2), state.R_WH)
     pose[:, :3] = goal.wrist_euler_O - euler_from_matrix(R_OH)
-    pose[:, 3:] = goal.hand_pose - state.gc[:, 6:]
+    pose[:, 3:] = goal.hand_pose - state.gc[:, N_WRIST:]
     return Relations(error_H, pose)
 
 

@@ -7,45 +7,50 @@ from typing import TypeVar
 
 import numpy as np
 
-from dgrasp.hand.mano.skeleton import N_DOF, N_KEYPOINTS, N_PARTS
+from dgrasp.hand.layout import HandLayout
 from dgrasp.types import Array, GraspGoal, SceneState
-
-_SHAPES: dict[str, tuple[int, ...]] = {
-    "gc": (N_DOF,),
-    "gv": (N_DOF,),
-    "R_WH0": (3, 3),
-    "wrist_start_W": (3,),
-    "R_WH": (3, 3),
-    "joints_W": (N_KEYPOINTS, 3),
-    "R_WO": (3, 3),
-    "object_pos_W": (3,),
-    "object_linvel_W": (3,),
-    "object_angvel_W": (3,),
-    "contacts": (N_PARTS,),
-    "contact_impulse": (N_PARTS,),
-    "object_start_W": (3,),
-    "table_height_W": (),
-    "object_mass": (),
-    "table_contact": (),
-    "table_gone": (),
-    "holding": (),
-    "episode_time": (),
-    "R_WG": (3, 3),
-    "target_pos_W": (3,),
-}
 
 Rows = TypeVar("Rows", SceneState, GraspGoal)
 
-STATE_SIZE = sum(int(np.prod(shape)) for shape in _SHAPES.values())
-"""float64 numbers per environment."""
+
+def state_shapes(hand: HandLayout) -> dict[str, tuple[int, ...]]:
+    """The shape of each array of a `SceneState`, for one environment with that hand."""
+    return {
+        "gc": (hand.n_dof,),
+        "gv": (hand.n_dof,),
+        "R_WH0": (3, 3),
+        "wrist_start_W": (3,),
+        "R_WH": (3, 3),
+        "joints_W": (hand.n_keypoints, 3),
+        "R_WO": (3, 3),
+        "object_pos_W": (3,),
+        "object_linvel_W": (3,),
+        "object_angvel_W": (3,),
+        "contacts": (hand.n_parts,),
+        "contact_impulse": (hand.n_parts,),
+        "object_start_W": (3,),
+        "table_height_W": (),
+        "object_mass": (),
+        "table_contact": (),
+        "table_gone": (),
+        "holding": (),
+        "episode_time": (),
+        "R_WG": (3, 3),
+        "target_pos_W": (3,),
+    }
 
 
-def state_views(n: int, buffer: Array | None = None) -> SceneState:
-    """A `SceneState` of N environments whose arrays are views of one buffer (N * STATE_SIZE float64)."""
+def state_size(hand: HandLayout) -> int:
+    """float64 numbers per environment."""
+    return sum(int(np.prod(shape)) for shape in state_shapes(hand).values())
+
+
+def state_views(n: int, hand: HandLayout, buffer: Array | None = None) -> SceneState:
+    """A `SceneState` of N environments whose arrays are views of one buffer (N * `state_size` float64)."""
     if buffer is None:
-        buffer = np.zeros(n * STATE_SIZE)
+        buffer = np.zeros(n * state_size(hand))
     views, offset = {}, 0
-    for name, shape in _SHAPES.items():
+    for name, shape in state_shapes(hand).items():
         size = n * int(np.prod(shape))
         views[name] = buffer[offset : offset + size].reshape(n, *shape)
         offset += size
@@ -59,8 +64,8 @@ def take(arrays: Rows, rows: Array) -> Rows:
 
 def copy_state(source: SceneState, target: SceneState, rows: slice) -> None:
     """Writes a state of some environments into their rows of a larger one."""
-    for name in _SHAPES:
-        getattr(target, name)[rows] = getattr(source, name)
+    for name, values in vars(source).items():
+        getattr(target, name)[rows] = values
 
 
 @dataclass

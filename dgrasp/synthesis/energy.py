@@ -13,7 +13,6 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from dgrasp.hand.mano.skeleton import N_PARTS, THUMB_TIP_PART
 from dgrasp.hand.mano.skinning import axis_angle_rotations
 from dgrasp.synthesis.torch_hand import ObjectField, TorchHand, tensor
 from dgrasp.types import Array
@@ -43,8 +42,8 @@ turns the hand much further at a table. The paper's recorded labels have above -
 class Grasps:
     """B hands about one object, in its frame O; tensors.
 
-    R (B, 3, 3), t (B, 3) m: wrists. motions (B, 21) rad. wanted (B, 16) bool: the parts that are to touch.
-    up (B, 3), over (B,): the table; a point x is up @ x + over m above it. yields (B, 45) bool, angles (B, 45) rad:
+    R (B, 3, 3), t (B, 3) m: wrists. motions (B, M) rad. wanted (B, P) bool: the parts that are to touch.
+    up (B, 3), over (B,): the table; a point x is up @ x + over m above it. yields (B, J) bool, angles (B, J) rad:
     joints that the object's pressure has turned to an angle beyond their limits, and which the motions do not move.
     """
 
@@ -58,7 +57,7 @@ class Grasps:
     angles: Tensor
 
     def pose(self, hand: TorchHand) -> Tensor:
-        """(B, 45) joint angles, within the limits but for the joints that yield."""
+        """(B, J) joint angles, within the limits except for the joints that yield."""
         return torch.where(self.yields, self.angles, hand.clipped(hand.pose(self.motions)))
 
     def take(self, rows: Tensor) -> Grasps:
@@ -70,12 +69,9 @@ class Grasps:
 
 
 def energies(
-    hand: TorchHand, field: ObjectField, grasps: Grasps, shares: Tensor, center: Tensor, thumb_side: float = 1.0
+    hand: TorchHand, field: ObjectField, grasps: Grasps, shares: Tensor, center: Tensor
 ) -> dict[str, Tensor]:
-    """The terms (B,), unweighted. shares (B, 16): logits of the contacts' forces. center (3,): of mass, in O.
-
-    thumb_side: 1 for a right hand, whose z axis points to the thumb's side, -1 for the other.
-    """
+    """The terms (B,), unweighted. shares (B, P): logits of the contacts' forces. center (3,): of mass, in O."""
     pose = hand.pose(grasps.motions)
     posed = hand.forward(grasps.R, grasps.t, torch.where(grasps.yields, grasps.angles, pose))
     depth = hand.radii - field.distance(posed.centers)
@@ -85,7 +81,7 @@ def energies(
     gap = (distance + PRESS) / 0.002
     # The thumb is alone on its side.
     weight = wanted.clone()
-    weight[:, THUMB_TIP_PART] *= count - 1.0
+    weight[:, hand.thumb_tip] *= count - 1.0
     contact = (weight * (torch.sqrt(1.0 + gap * gap) - 1.0)).sum(1) / count
     palmar = (posed.R @ hand.palmar[..., None])[..., 0]
     facing = (wanted * torch.relu(0.7 + (palmar * normal).sum(-1)) ** 2).sum(1)
@@ -102,18 +98,24 @@ def energies(
         "table": (torch.relu(TABLE_CLEARANCE - height) ** 2).sum(1) / 0.003**2,
         "limits": (limits**2).sum(1) / 0.05**2,
         "prior": 0.5 * (white**2).sum(1),
-        "upright": (unnatural(hand, grasps.R, grasps.up, thumb_side) ** 2).sum(1),
+        "upright": (unnatural(hand, grasps.R, grasps.up) ** 2).sum(1),
     }
 
 
-def unnatural(hand: TorchHand, R: Tensor, up: Tensor, thumb_side: float) -> Tensor:
-    """(B, 2): how far wrists R (B, 3, 3) are turned beyond `LOWEST_THUMB_SIDE` and `HIGHEST_POINTING`. up: (B, 3)."""
+def unnatural(hand: TorchHand, R: Tensor, up: Tensor) -> Tensor:
+    """(B, 2): how far wrists R (B, 3, 3) are turned beyond `LOWEST_THUMB_SIDE` and `HIGHEST_POINTING`. up: (B, 3).
+
+    Zero for a hand that has no anatomy (`HandMotions.thumb_side`).
+    """
+    thumb_side = hand.motions.thumb_side
+    if not thumb_side:
+        return R.new_zeros(len(R), 2)
     side, pointing = thumb_side * (R[:, :, 2] * up).sum(1), ((R @ hand.pointing) * up).sum(1)
     return torch.stack([torch.relu(LOWEST_THUMB_SIDE - side), torch.relu(pointing - HIGHEST_POINTING)], 1)
 
 
 def contact_points(hand: TorchHand, field: ObjectField, pads: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Of each part the pad point nearest to the object: (B, 16, 3), its distance (B, 16) and normal (B, 16, 3)."""
+    """Of each part the pad point nearest to the object: (B, P, 3), its distance (B, P) and normal (B, P, 3)."""
     with torch.no_grad():
         distance = field.distance(pads)
         nearest = torch.stack([mine[distance[:, mine].argmin(1)] if len(mine) else mine.new_zeros(len(pads))
@@ -127,7 +129,7 @@ def residual_wrench(
 ) -> tuple[Tensor, Tensor]:
     """Force (B, 3) and torque over a lever (B, 3) that are left when the wanted parts press along their normals.
 
-    point, normal: (B, 16, 3). shares (B, 16): logits; the forces add up to 1.
+    point, normal: (B, P, 3). shares (B, P): logits; the forces add up to 1.
     """
     weight = torch.softmax(shares.masked_fill(~wanted, -torch.inf), 1)
     force = -weight[..., None] * normal
@@ -146,13 +148,13 @@ def overlaps(hand: TorchHand, centers: Tensor) -> Tensor:
 
 
 def optimise(
-    hand: TorchHand, field: ObjectField, grasps: Grasps, center: Array, thumb_side: float, iterations: int = ITERATIONS
+    hand: TorchHand, field: ObjectField, grasps: Grasps, center: Array, iterations: int = ITERATIONS
 ) -> tuple[Grasps, dict[str, Tensor]]:
     """The grasps after a descent of all energies together, joint angles clipped to the limits, and their terms."""
     middle = tensor(center)
     w = torch.zeros_like(grasps.t, requires_grad=True)
     t, motions = (value.clone().requires_grad_() for value in (grasps.t, grasps.motions))
-    shares = torch.zeros(len(grasps), N_PARTS, requires_grad=True)
+    shares = torch.zeros(grasps.wanted.shape, requires_grad=True)
     leaves = {"t": t, "w": w, "motions": motions, "shares": shares}
     groups = [{"params": [leaf], "lr": _RATES[name]} for name, leaf in leaves.items()]
     adam = torch.optim.Adam(groups, betas=(0.9, 0.98))
@@ -164,7 +166,7 @@ def optimise(
 
     for _ in range(iterations):
         adam.zero_grad()
-        terms = energies(hand, field, current(), shares, middle, thumb_side)
+        terms = energies(hand, field, current(), shares, middle)
         total = torch.stack([WEIGHTS[name] * value for name, value in terms.items()]).sum()
         total.backward()
         # A sphere that starts deep inside must not throw its hand away.
@@ -177,7 +179,7 @@ def optimise(
     with torch.no_grad():
         found = current()
         found = replace(found, t=t.detach(), motions=motions.detach())
-        return found, energies(hand, field, found, shares, middle, thumb_side)
+        return found, energies(hand, field, found, shares, middle)
 
 
 YIELD_DEG = (1.5, 7.0)
@@ -205,10 +207,13 @@ def let_yield(hand: TorchHand, field: ObjectField, grasps: Grasps, rng: np.rando
         opening = lever.sign()
         limit = torch.where(opening > 0, hand.limits[1], hand.limits[0])
         room = ((limit - pose) * opening).masked_fill(lever.abs() < _LEVER, torch.inf)
-        nearest, joint = room.reshape(-1, 5, 9).min(2)
         n = len(grasps)
         draws = torch.as_tensor(rng.uniform(size=(n, 2)) < (_FINGERS_YIELD, _THUMB_YIELDS))
-        chosen = torch.cat([draws[:, :1].expand(-1, 4), draws[:, 1:]], 1) & (nearest < _FARTHEST)
-        yields = torch.zeros(n, 5, 9, dtype=torch.bool).scatter_(2, joint[..., None], chosen[..., None]).reshape(n, -1)
+        yields = torch.zeros(room.shape, dtype=torch.bool)
+        for index, finger in enumerate(hand.layout.fingers):
+            joints = torch.as_tensor(finger.joints)
+            nearest, joint = room[:, joints].min(1)
+            chosen = draws[:, 1 if index == hand.thumb else 0] & (nearest < _FARTHEST)
+            yields[torch.arange(n), joints[joint]] = chosen
         beyond = tensor(np.radians(rng.uniform(*YIELD_DEG, (n, 1))))
         return replace(grasps, yields=yields, angles=torch.where(yields, limit + opening * beyond, grasps.angles))

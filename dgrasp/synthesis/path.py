@@ -6,7 +6,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from dgrasp.hand.motions import MOTIONS
+from dgrasp.hand.layout import N_WRIST
 from dgrasp.scene.scene import TABLE_TOP
 from dgrasp.synthesis.energy import Grasps
 from dgrasp.synthesis.start import Setting
@@ -21,7 +21,6 @@ START_CLEARANCE, PATH_CLEARANCE = 0.005, 0.0
 OPENED_DEG = (15.0, 25.0, 35.0, 45.0)
 """By how much all flexions may be undone at the start; the least that lets the hand pass is taken."""
 _START_TURN, _DRAWS = 0.12, 8
-_FLEXIONS = np.array([not name.endswith(("spread", "twist", "lift")) for name in MOTIONS])
 
 
 @torch.no_grad()
@@ -39,9 +38,9 @@ def free_starts(
     tips = hand.tips(hand.forward(grasps.R, grasps.t, grasps.pose(hand))).mean(1)
     away = np.matmul(T_WO[:, :3, :3], (grasps.t - tips).numpy()[..., None])[..., 0]
     away /= np.linalg.norm(away, axis=1, keepdims=True)
-    starts, poses, done = T_WH.copy(), np.zeros((n, 45)), np.zeros(n, bool)
+    starts, poses, done = T_WH.copy(), np.zeros((n, hand.layout.n_joints)), np.zeros(n, bool)
     for angle in np.radians(OPENED_DEG):
-        pose = hand.clipped(hand.pose(grasps.motions - tensor(angle * _FLEXIONS)))
+        pose = hand.clipped(hand.pose(grasps.motions - tensor(angle * hand.motions.flexions)))
         for _ in range(_DRAWS):
             back = away + rng.normal(0.0, 0.25, (n, 3))
             back[:, 2] += rng.uniform(0.0, 0.8, n)
@@ -57,13 +56,13 @@ def free_starts(
                 free[rows] = clearance(hand, setting, rest[rows], way, pose[rows]) > PATH_CLEARANCE
             starts[free], poses[free] = start[free], pose.numpy()[free]
             done |= free
-    poses = np.clip(poses, *hand.model.limits[6:].T)
+    poses = np.clip(poses, *hand.model.limits[N_WRIST:].T)
     starts[:, :3, :3] = orthonormal(starts[:, :3, :3])
     return [StartPose(starts[i], rest[i], poses[i]) for i in range(n)], done
 
 
 def clearance(hand: TorchHand, setting: Setting, T_WO: Array, T_WH: Array, pose: Tensor) -> Array:
-    """(N,) m between the hand, pose (N, 45), and the object or the table, whichever is nearer; negative where they
+    """(N,) m between the hand, pose (N, J), and the object or the table, whichever is nearer; negative where they
     overlap."""
     T_OH = np.linalg.inv(T_WO) @ T_WH
     centers = hand.forward(tensor(T_OH[:, :3, :3]), tensor(T_OH[:, :3, 3]), pose).centers

@@ -44,7 +44,7 @@ def figures(made: Synthesised, hand: NamedHand, model: ObjectModel) -> dict[str,
 def joint_distances(labels: list[GraspLabel]) -> tuple[float, float]:
     """How far the grasps of one object are apart, means over all pairs; 0 for a single one.
 
-    First the root mean square over the 45 joint angles, degrees; then the mean over the 21 key points, in the object's
+    First the root mean square over the finger angles, degrees; then the mean over the key points, in the object's
     frame, mm.
     """
     if len(labels) < 2:

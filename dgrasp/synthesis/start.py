@@ -9,8 +9,6 @@ import torch
 
 from dgrasp.errors import ConfigError
 from dgrasp.geometry.intersection import Body
-from dgrasp.hand.mano.skeleton import N_PARTS, PARTS
-from dgrasp.hand.motions import MOTIONS
 from dgrasp.objects.free import shape_bounds
 from dgrasp.objects.model import ObjectModel
 from dgrasp.objects.names import YCB_NAMES
@@ -30,7 +28,10 @@ _TILT = 0.2
 """Standard deviation, rad, of the hand's opposing sides about the object's."""
 _CANDIDATES = 24
 """Random hands of which the best one begins."""
-_FINGER_SETS = ((0, 1), (0, 1, 2), (0, 1, 2, 3))
+_FEWEST, _MOST = 2, 4
+"""Fingers beside the thumb that are to touch, where the hand has as many."""
+_TIPS_OPPOSING = 3
+"""Fingers whose tips, on average, lie opposite to the thumb's."""
 _POWER_SHARE, _PALM_SHARE = 0.5, 0.4
 """How often the fingers' middle parts are to touch too, and how often the palm with them."""
 
@@ -65,9 +66,7 @@ def _is_primitive(model: ObjectModel) -> bool:
     return True
 
 
-def propose(
-    hand: TorchHand, setting: Setting, T_WO: Array, rng: np.random.Generator, thumb_side: float = 1.0
-) -> Grasps:
+def propose(hand: TorchHand, setting: Setting, T_WO: Array, rng: np.random.Generator) -> Grasps:
     """One hand per object pose (B, 4, 4): of some random ones that which penetrates object and table least."""
     n = len(T_WO) * _CANDIDATES
     R_WO = np.repeat(T_WO[:, :3, :3], _CANDIDATES, axis=0)
@@ -77,10 +76,13 @@ def propose(
         flat = hand.forward(torch.eye(3).expand(n, 3, 3), torch.zeros(n, 3), hand.pose(tensor(motions)))
         tips = hand.tips(flat).numpy().astype(float)
         palm_H = _pad_center(hand)
-    fingers = tips[:, :3].mean(axis=1)
-    opposing = _unit(fingers - tips[:, 4])
+    tip_of = [hand.layout.tips.index(finger.keypoints[-1]) for finger in (*hand.others[:_TIPS_OPPOSING],
+                                                                          hand.layout.fingers[hand.thumb])]
+    thumb = tips[:, tip_of[-1]]
+    fingers = tips[:, tip_of[:-1]].mean(axis=1) if len(tip_of) > 1 else np.tile(palm_H, (n, 1))
+    opposing = _unit(fingers - thumb)
     # What the hand holds lies between thumb and fingers, somewhat towards the palm.
-    held = 0.5 * (fingers + tips[:, 4])
+    held = 0.5 * (fingers + thumb)
     held += rng.uniform(0.0, 0.45, (n, 1)) * (palm_H - held)
     ahead = _unit(held - _along(held, opposing))
     across = _unit(across + _TILT * rng.normal(size=(n, 3)))
@@ -89,40 +91,43 @@ def propose(
     t_OH = middle - np.matmul(R_OH, held[..., None])[..., 0]
     up = R_WO[:, 2]
     over = np.repeat(T_WO[:, 2, 3] - TABLE_TOP, _CANDIDATES)
-    grasps = Grasps(tensor(R_OH), tensor(t_OH), tensor(motions), torch.zeros(n, N_PARTS, dtype=torch.bool),
-                    tensor(up), tensor(over), torch.zeros(n, 45, dtype=torch.bool), torch.zeros(n, 45))  # fmt: skip
+    grasps = Grasps(tensor(R_OH), tensor(t_OH), tensor(motions),
+                    torch.zeros(n, hand.layout.n_parts, dtype=torch.bool), tensor(up), tensor(over),
+                    torch.zeros(n, hand.layout.n_joints, dtype=torch.bool), torch.zeros(n, hand.layout.n_joints))
     with torch.no_grad():
         centers = hand.forward(grasps.R, grasps.t, hand.pose(grasps.motions)).centers
         depth = torch.relu(hand.radii - setting.field.distance(centers)).sum(1)
         sunk = torch.relu(hand.radii - grasps.over[:, None] - (centers @ grasps.up[..., None])[..., 0]).sum(1)
-        turned = unnatural(hand, grasps.R, grasps.up, thumb_side).sum(1)
+        turned = unnatural(hand, grasps.R, grasps.up).sum(1)
     cost = (depth + 2.0 * sunk + turned).numpy()
     best = cost.reshape(-1, _CANDIDATES).argmin(axis=1) + np.arange(len(T_WO)) * _CANDIDATES
     chosen = grasps.take(torch.as_tensor(best))
-    chosen.wanted[:] = torch.as_tensor(_wanted(rng, len(T_WO)))
+    chosen.wanted[:] = torch.as_tensor(_wanted(hand, rng, len(T_WO)))
     return chosen
 
 
-def _wanted(rng: np.random.Generator, n: int) -> Array:
-    """(n, 16) bool: the thumb's tip and those of two to four fingers, often more of them, sometimes the palm."""
-    wanted = np.zeros((n, N_PARTS), bool)
-    wanted[:, PARTS.index("thumb_distal")] = True
+def _wanted(hand: TorchHand, rng: np.random.Generator, n: int) -> Array:
+    """(n, P) bool: the thumb's tip and those of two to four fingers, often more of them, sometimes the palm."""
+    wanted = np.zeros((n, hand.layout.n_parts), bool)
+    wanted[:, hand.thumb_tip] = True
+    most = min(_MOST, len(hand.others))
+    numbers = range(min(_FEWEST, most), most + 1)
     for row in wanted:
-        chosen = _FINGER_SETS[rng.integers(len(_FINGER_SETS))]
+        chosen = hand.others[: numbers[rng.integers(len(numbers))]]
         power = rng.uniform() < _POWER_SHARE
         for finger in chosen:
-            row[3 + 3 * finger] = True
-            row[2 + 3 * finger] |= power
+            row[finger.parts[-1]] = True
+            if len(finger.parts) > 1:
+                row[finger.parts[-2]] |= power
         row[0] = power and rng.uniform() < _PALM_SHARE
     return wanted
 
 
 def _opened(hand: TorchHand, rng: np.random.Generator, n: int) -> Array:
-    """(n, 21) motions drawn from the prior and opened."""
+    """(n, M) motions drawn from the prior and opened."""
     prior = hand.motions
-    motions = prior.mean + 0.7 * rng.normal(size=(n, len(MOTIONS))) @ prior.factor.T
-    flexions = np.array([not name.endswith(("spread", "twist", "lift")) for name in MOTIONS])
-    motions[:, flexions] -= np.radians(rng.uniform(0.0, 25.0, (n, 1)))
+    motions = prior.mean + 0.7 * rng.normal(size=(n, len(prior.mean))) @ prior.factor.T
+    motions[:, prior.flexions] -= np.radians(rng.uniform(0.0, 25.0, (n, 1)))
     return np.asarray(motions)
 
 

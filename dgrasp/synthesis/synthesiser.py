@@ -18,8 +18,7 @@ from dgrasp.geometry.distance_grid import distance_grid
 from dgrasp.geometry.equilibrium import holds_weight
 from dgrasp.geometry.intersection import body
 from dgrasp.geometry.shape_mesh import shape_mesh
-from dgrasp.hand.mano.model import Side
-from dgrasp.hand.mano.skeleton import N_DOF, THUMB_TIP_PART
+from dgrasp.hand.layout import N_WRIST
 from dgrasp.hand.model import HandModel
 from dgrasp.hand.spheres import CONTACT_DISTANCE
 from dgrasp.objects.model import ObjectModel
@@ -88,7 +87,7 @@ class _Found:
     depth: Array
     touching: Array
     apart: Array
-    """(N, 16) m between parts and object."""
+    """(N, P) m between parts and object."""
 
     def take(self, rows: Array) -> _Found:
         values = {name: value[rows] for name, value in vars(self).items() if name != "grasps"}
@@ -99,12 +98,11 @@ class _Found:
 
 
 class Synthesiser:
-    """Makes grasps of one hand. side: which hand it is; it stands in MANO's wrist frame."""
+    """Makes grasps of one hand."""
 
-    def __init__(self, hand: HandModel, side: Side = "right") -> None:
+    def __init__(self, hand: HandModel) -> None:
         self.hand = hand
-        self.torch_hand = TorchHand(hand, side)
-        self.thumb_side = float(np.sign(self.torch_hand.model.offsets[13, 2]))
+        self.torch_hand = TorchHand(hand)
 
     def make(
         self, model: ObjectModel, count: int, rng: np.random.Generator, config: Config, batch: int = BATCH,
@@ -150,12 +148,12 @@ class Synthesiser:
         rest = rest_poses(setting, rng, batch)
         T_WO = rest.copy()
         T_WO[:, 2, 3] += rng.uniform(0.0, LIFT, batch)
-        proposed = propose(self.torch_hand, setting, T_WO, rng, self.thumb_side)
+        proposed = propose(self.torch_hand, setting, T_WO, rng)
         center = setting.model.center_of_mass_O
         hand, field = self.torch_hand, setting.field
-        grasps, _ = optimise(hand, field, proposed, center, self.thumb_side, iterations)
+        grasps, _ = optimise(hand, field, proposed, center, iterations)
         yielding = let_yield(hand, field, grasps, rng)
-        grasps, _ = optimise(hand, field, yielding, center, self.thumb_side, max(1, iterations // 2))
+        grasps, _ = optimise(hand, field, yielding, center, max(1, iterations // 2))
         found = self._sound(setting, grasps, rest, T_WO)
         starts, free = free_starts(hand, setting, found.grasps, found.rest, found.T_WO, rng)
         return found.take(np.flatnonzero(free)), [starts[i] for i in np.flatnonzero(free)]
@@ -169,18 +167,21 @@ class Synthesiser:
         height = (posed.centers @ grasps.up[..., None])[..., 0] + grasps.over[:, None] - hand.radii
         point, gap, normal = contact_points(hand, field, hand.pad_points(posed))
         touching = gap < TOUCHING
-        force, torque = _best_wrench(point, normal, touching, tensor(setting.model.center_of_mass_O))
+        force, torque = _best_wrench(point, normal, touching, tensor(setting.model.center_of_mass_O), hand.thumb_tip)
         depth = -distance.amin(1)
-        fingers = touching[:, 1:13].reshape(-1, 4, 3).any(2).sum(1)
-        thumb = touching[:, 13:].any(1)
-        turned = unnatural(hand, grasps.R, grasps.up, self.thumb_side).amax(1)
+        others, thumb_finger = hand.others, hand.layout.fingers[hand.thumb]
+        fingers = sum(touching[:, list(finger.parts)].any(1).int() for finger in others)
+        thumb = touching[:, list(thumb_finger.parts)].any(1)
+        turned = unnatural(hand, grasps.R, grasps.up).amax(1)
         sound = (
-            (depth < MAX_DEPTH) & (height.amin(1) > 0.0) & thumb & (fingers >= 2) & (turned < MAX_TURNED)
-            & (overlaps(hand, posed.centers).amax((1, 2)) < MAX_SELF_OVERLAP)
+            (depth < MAX_DEPTH) & (height.amin(1) > 0.0) & thumb & (fingers >= min(2, len(others)))
+            & (turned < MAX_TURNED) & (overlaps(hand, posed.centers).amax((1, 2)) < MAX_SELF_OVERLAP)
         )  # fmt: skip
         quality = -(force.norm(dim=1) + 0.5 * torque.norm(dim=1)) + 0.05 * touching.sum(1)
         # What yields is pulled back by a controller, and so grasps.
-        quality += 0.2 * grasps.yields[:, :36].any(1) + 0.2 * grasps.yields[:, 36:].any(1)
+        own = torch.zeros(hand.layout.n_joints, dtype=torch.bool)
+        own[list(thumb_finger.joints)] = True
+        quality += 0.2 * grasps.yields[:, ~own].any(1) + 0.2 * grasps.yields[:, own].any(1)
         rows = np.flatnonzero(sound.numpy())
         rows = rows[self._holding(setting, grasps, (point, gap, normal), rows)]
         figures = (quality, depth, touching.sum(1), hand.per_part(distance))
@@ -200,7 +201,7 @@ class Synthesiser:
 
     @torch.no_grad()
     def _features(self, found: _Found) -> Array:
-        """(N, 63) m: the 21 key points in O, in which grasps are told apart."""
+        """(N, F) m: joints and tips in O, in which grasps are told apart."""
         g, hand = found.grasps, self.torch_hand
         posed = hand.forward(g.R, g.t, g.pose(hand))
         return np.asarray(torch.cat([posed.t, hand.tips(posed)], 1).reshape(len(found), -1).numpy())
@@ -209,10 +210,9 @@ class Synthesiser:
         g = found.grasps
         # The limits are float64: what lies within them must not leave them by rounding.
         pose = g.pose(self.torch_hand).numpy().astype(float)
-        pose = np.where(g.yields.numpy(), pose, np.clip(pose, *self.hand.limits[6:].T))
+        pose = np.where(g.yields.numpy(), pose, np.clip(pose, *self.hand.limits[N_WRIST:].T))
         T_WH = found.T_WO @ transform(orthonormal(g.R.numpy().astype(float)), g.t.numpy().astype(float))
-        gc = np.concatenate([np.zeros((len(found), N_DOF - 45)), pose], axis=1)
-        _, joints = self.hand.forward(gc, T_WH[:, :3, :3], T_WH[:, :3, 3])
+        joints = self.hand.keypoints_at(T_WH, pose)
         return [
             GraspLabel(name, pose[i], T_WH[i], found.T_WO[i], joints[i], found.apart[i] < CONTACT_DISTANCE, starts[i],
                        self.hand.id, SOURCE, i)
@@ -234,12 +234,14 @@ def order_of_both(held: Array, count: int) -> Array:
     return np.sort(np.concatenate([good[:n_good], bad[: count - n_good]]))
 
 
-def _best_wrench(point: Tensor, normal: Tensor, touching: Tensor, center: Tensor) -> tuple[Tensor, Tensor]:
+def _best_wrench(
+    point: Tensor, normal: Tensor, touching: Tensor, center: Tensor, thumb_tip: int
+) -> tuple[Tensor, Tensor]:
     """The residual wrench of the touching parts, thumb and fingers pressing alike."""
     shares = torch.zeros(touching.shape)
-    shares[:, THUMB_TIP_PART] = torch.log((touching.sum(1) - touching[:, THUMB_TIP_PART].float()).clamp_min(1.0))
+    shares[:, thumb_tip] = torch.log((touching.sum(1) - touching[:, thumb_tip].float()).clamp_min(1.0))
     safe = touching.clone()
-    safe[:, THUMB_TIP_PART] = True
+    safe[:, thumb_tip] = True
     return residual_wrench(point, normal, shares, safe, center)
 
 

@@ -13,17 +13,12 @@ from torch import Tensor
 from torch.nn.functional import grid_sample
 
 from dgrasp.geometry.distance_grid import DistanceGrid
-from dgrasp.hand.mano.model import Side
-from dgrasp.hand.mano.skeleton import N_PARTS
-from dgrasp.hand.mano.skinning import euler_rotations
+from dgrasp.hand.layout import N_WRIST
+from dgrasp.hand.mano.skinning import axis_angle_rotations, euler_rotations
 from dgrasp.hand.model import HandModel
 from dgrasp.hand.motions import HandMotions, hand_motions
 from dgrasp.hand.spheres import HandSpheres
 from dgrasp.types import Array
-
-_FIRST = [1, 4, 7, 10, 13]
-_ORDER = [0, *(1 + 5 * segment + finger for finger in range(5) for segment in range(3))]
-"""From palm and rings of five equal segments to the order of `skeleton.PARTS`."""
 
 
 def tensor(values: Array) -> Tensor:
@@ -64,7 +59,7 @@ class ObjectField:
 
 @dataclass(frozen=True, eq=False)
 class PosedHand:
-    """B hands in O. R (B, 16, 3, 3), t (B, 16, 3): parts. centers (B, P, 3): spheres."""
+    """B hands in O. R (B, P, 3, 3), t (B, P, 3): parts. centers (B, S, 3): spheres."""
 
     R: Tensor
     t: Tensor
@@ -72,77 +67,114 @@ class PosedHand:
 
 
 class TorchHand:
-    """A hand's spheres, motions and limits as tensors.
+    """A hand's spheres, motions and limits as tensors: S spheres, P parts, J finger joints, M motions.
 
-    radii (P,), parts (P,) and local (P, 3): the spheres, as in `HandSpheres`. pads (P, 3): from each centre to the
-    sphere's surface on the pad's side, in the part's frame. knuckles (3,): their middle in the wrist's frame, m;
-    pointing (3,): the direction to it. pairs: see `_pairs`.
+    radii (S,), parts (S,) and local (S, 3): the spheres, as in `HandSpheres`. pads (S, 3): from each centre to the
+    sphere's surface on the pad's side, in the part's frame. thumb: the finger that opposes the `others`; thumb_tip: its
+    last part. knuckles (3,): the middle of the others' roots in the wrist's frame, m; pointing (3,): the direction to
+    it. pairs: see `_pairs`.
     """
 
-    def __init__(self, hand: HandModel, side: Side) -> None:
-        self.model = hand
+    def __init__(self, hand: HandModel) -> None:
+        self.model, self.layout = hand, hand.layout
         self.spheres = HandSpheres.of_hand(hand)
-        self.motions: HandMotions = hand_motions(hand, side)
+        self.motions: HandMotions = hand_motions(hand)
         self.parts = torch.as_tensor(self.spheres.parts)
         self.radii, self.local = tensor(self.spheres.radii), tensor(self.spheres.centers)
         self.palmar = tensor(self.motions.palmar)
         self.pads = self.radii[:, None] * self.palmar[self.parts]
         self.to_pose = tensor(self.motions.to_pose)
-        self.limits = tensor(hand.limits[6:].T)
+        self.limits = tensor(hand.limits[N_WRIST:].T)
         self._offsets, self._tips = tensor(hand.offsets), tensor(hand.tips)
-        self.members = [torch.nonzero(self.parts == part)[:, 0] for part in range(N_PARTS)]
+        self._levels, self._order = self._floors()
+        self.members = [torch.nonzero(self.parts == part)[:, 0] for part in range(self.layout.n_parts)]
         self.pairs = self._pairs()
-        self.knuckles: Array = hand.offsets[_FIRST[:4]].mean(axis=0)
-        self.pointing = tensor(self.knuckles / np.linalg.norm(self.knuckles))
+        fingers = self.layout.fingers
+        self.thumb = self.motions.thumb
+        self.thumb_tip = fingers[self.thumb].parts[-1]
+        self.others = [finger for index, finger in enumerate(fingers) if index != self.thumb]
+        roots = [finger.parts[0] for finger in self.others] or [self.thumb_tip]
+        self.knuckles: Array = hand.offsets[roots].mean(axis=0)
+        self.pointing = tensor(self.knuckles / max(float(np.linalg.norm(self.knuckles)), 1e-9))
+
+    def _floors(self) -> tuple[list[tuple[list[int], list[int]]], list[int]]:
+        """Parts by their distance from the palm, with their parents' places in the floor below; and where each part is
+        in the floors laid end to end."""
+        parents = self.model.chain.parents.tolist()
+        floors, below = [], [0]
+        while True:
+            parts = [part for part, parent in enumerate(parents) if parent in below]
+            if not parts:
+                break
+            floors.append((parts, [below.index(parents[part]) for part in parts]))
+            below = parts
+        laid = [0, *(part for parts, _ in floors for part in parts)]
+        return floors, [laid.index(part) for part in range(len(parents))]
 
     def _pairs(self) -> tuple[Tensor, Tensor]:
-        """Every other sphere (S,), and (S, S) bool: those that should not overlap, each pair once.
+        """Every other sphere (S',), and (S', S') bool: those that should not overlap, each pair once.
 
         They are of two fingers, or of the palm and a finger beyond its base.
         """
         chosen = torch.cat([mine[::2] for mine in self.members])
         part = self.parts[chosen]
-        finger = torch.div(part + 2, 3, rounding_mode="floor")  # 0 the palm, 1 to 5 the fingers
-        outer = (part == 0) | ((part - 1) % 3 > 0)
+        finger = torch.as_tensor(self.layout.finger_of_part)[part] + 1  # 0 is the palm
+        bases = torch.zeros(self.layout.n_parts, dtype=torch.bool)
+        bases[[finger.parts[0] for finger in self.layout.fingers]] = True
+        outer = ~bases[part]
         with_palm = (part[:, None] == 0) | (part[None] == 0)
         # Neighbouring knuckles touch in every hand.
-        bases = ~outer[:, None] & ~outer[None]
-        apart = (finger[:, None] != finger[None]) & (~with_palm | (outer[:, None] & outer[None])) & ~bases
+        both_bases = ~outer[:, None] & ~outer[None]
+        apart = (finger[:, None] != finger[None]) & (~with_palm | (outer[:, None] & outer[None])) & ~both_bases
         return chosen, apart & (part[:, None] < part[None])
 
     def pose(self, motions: Tensor) -> Tensor:
-        """(B, 45) joint angles of motions (B, 21), rad."""
+        """(B, J) joint angles of motions (B, M), rad."""
         return motions @ self.to_pose
 
     def clipped(self, pose: Tensor) -> Tensor:
-        """(B, 45) within the joint limits."""
+        """(B, J) within the joint limits."""
         return torch.minimum(torch.maximum(pose, self.limits[0]), self.limits[1])
 
     def forward(self, R: Tensor, t: Tensor, pose: Tensor) -> PosedHand:
-        """The hands of wrists R (B, 3, 3), t (B, 3) and joint angles (B, 45)."""
-        turn = euler_rotations(pose.reshape(-1, N_PARTS - 1, 3))
-        at, now = t[:, None].expand(-1, 5, -1), R[:, None].expand(-1, 5, -1, -1)
-        places, turns = [t[:, None]], [R[:, None]]
-        for segment in range(3):
-            index = [first + segment for first in _FIRST]
-            at = at + (now @ self._offsets[index, :, None])[..., 0]
-            now = now @ turn[:, [i - 1 for i in index]]
+        """The hands of wrists R (B, 3, 3), t (B, 3) and joint angles (B, J)."""
+        turn = self._part_turns(pose)
+        at, now = t[:, None], R[:, None]
+        places, turns = [at], [now]
+        for parts, parents in self._levels:
+            at, now = at[:, parents], now[:, parents]
+            at = at + (now @ self._offsets[parts, :, None])[..., 0]
+            now = now @ turn[:, [part - 1 for part in parts]]
             places.append(at)
             turns.append(now)
-        place, turned = torch.cat(places, 1)[:, _ORDER], torch.cat(turns, 1)[:, _ORDER]
+        place, turned = torch.cat(places, 1)[:, self._order], torch.cat(turns, 1)[:, self._order]
         centers = (turned[:, self.parts] @ self.local[..., None])[..., 0] + place[:, self.parts]
         return PosedHand(turned, place, centers)
 
+    def _part_turns(self, pose: Tensor) -> Tensor:
+        """(B, P - 1, 3, 3): the rotation of each part but the palm against its parent."""
+        chain = self.model.chain
+        if chain.all_euler:
+            return euler_rotations(pose.reshape(-1, self.layout.n_parts - 1, 3))
+        turns = []
+        for part in range(1, self.layout.n_parts):
+            turn = torch.eye(3).expand(len(pose), 3, 3)
+            for joint in chain.joints_of[part].tolist():
+                about = axis_angle_rotations(pose[:, joint, None] * tensor(chain.axes[joint]))
+                turn = turn @ tensor(chain.joint_frames[joint]) @ about
+            turns.append(turn)
+        return torch.stack(turns, 1)
+
     def pad_points(self, hand: PosedHand) -> Tensor:
-        """(B, P, 3): the spheres' points on the pad's side."""
+        """(B, S, 3): the spheres' points on the pad's side."""
         return hand.centers + (hand.R[:, self.parts] @ self.pads[..., None])[..., 0]
 
     def tips(self, hand: PosedHand) -> Tensor:
-        """(B, 5, 3): the fingertips."""
-        distal = [first + 2 for first in _FIRST]
-        return hand.t[:, distal] + (hand.R[:, distal] @ self._tips[..., None])[..., 0]
+        """(B, number of tips, 3): the fingertips, in the order of `layout.tips`."""
+        owners = self.model.chain.keypoint_parts[list(self.layout.tips)].tolist()
+        return hand.t[:, owners] + (hand.R[:, owners] @ self._tips[..., None])[..., 0]
 
     def per_part(self, distances: Tensor) -> Tensor:
-        """(B, 16): the smallest of values (B, P) of each part's spheres; infinite for a part without any."""
-        out = distances.new_full((len(distances), N_PARTS), torch.inf)
+        """(B, P): the smallest of values (B, S) of each part's spheres; infinite for a part without any."""
+        out = distances.new_full((len(distances), self.layout.n_parts), torch.inf)
         return out.scatter_reduce(1, self.parts.expand(len(distances), -1), distances, "amin")

@@ -1,4 +1,4 @@
-"""What viewers draw: light meshes of the 16 hand parts and of the object, and where they are at each step."""
+"""What viewers draw: light meshes of the hand's parts and of the object, and where they are at each step."""
 
 from __future__ import annotations
 
@@ -8,18 +8,15 @@ from typing import NamedTuple
 import numpy as np
 
 from dgrasp.geometry.intersection import Body, join
-from dgrasp.hand.mano.skeleton import N_PARTS, PARTS
+from dgrasp.hand.kinematics import Kinematics
+from dgrasp.hand.layout import N_WRIST
 from dgrasp.hand.model import HandModel
-from dgrasp.hand.spheres import part_poses
 from dgrasp.hand.surface import rigid_surface
 from dgrasp.types import Array, EpisodeRecord
 from raisim_like.rotations import quaternion_from_matrix
 
 PART_FACES, OBJECT_FACES = 320, 2500
 """Most triangles of a hand part and of an object."""
-BODIES = (*PARTS, "object")
-"""The rigid bodies of a replay: the hand's parts, then the object."""
-
 
 class Mesh(NamedTuple):
     """vertices (V, 3) m in the body's frame, faces (F, 3) wound outwards."""
@@ -32,19 +29,25 @@ class Mesh(NamedTuple):
 class DisplayMeshes:
     """A hand and an object to draw.
 
-    offsets: (16, 3) m as in `HandModel`. hand: the parts' meshes in their frames, order of `skeleton.PARTS`; a part
-    without a shape has no faces. object: in O.
+    chain: the hand's kinematics. parts: names of its parts. hand: the parts' meshes in their frames; a part without a
+    shape has no faces. object: in O.
     """
 
-    offsets: Array
+    chain: Kinematics
+    parts: tuple[str, ...]
     hand: tuple[Mesh, ...]
     object: Mesh
 
+    @property
+    def bodies(self) -> tuple[str, ...]:
+        """The rigid bodies of a replay: the hand's parts, then the object."""
+        return (*self.parts, "object")
+
 
 def hand_meshes(hand: HandModel) -> tuple[Mesh, ...]:
-    """The 16 parts' meshes, of at most `PART_FACES` triangles each."""
+    """The parts' meshes, of at most `PART_FACES` triangles each."""
     surface = rigid_surface(hand)
-    parts = [surface.local(part) for part in range(N_PARTS)]
+    parts = [surface.local(part) for part in range(hand.layout.n_parts)]
     none = Mesh(np.zeros((0, 3)), np.zeros((0, 3), dtype=np.int64))
     return tuple(light(join(bodies), PART_FACES) if bodies else none for bodies in parts)
 
@@ -86,15 +89,15 @@ def merged(mesh: Mesh, cell: float) -> Mesh:
 
 
 def body_poses(meshes: DisplayMeshes, record: EpisodeRecord) -> tuple[Array, Array]:
-    """Quaternions (T, 17, 4), w, x, y, z, and positions (T, 17, 3) m of `BODIES` in the world at each step.
+    """Quaternions (T, B, 4), w, x, y, z, and positions (T, B, 3) m of `meshes.bodies` in the world at each step.
 
     Quaternions are `blendable`. Steps that a breaking simulation left with NaN repeat the last whole one.
     """
     n = len(record.gc)
-    rows = np.concatenate([record.T_WH.reshape(n, 16), record.T_WO.reshape(n, 16), record.gc], axis=1)
+    rows = np.concatenate([record.T_WH.reshape(n, -1), record.T_WO.reshape(n, -1), record.gc], axis=1)
     whole = np.maximum.accumulate(np.where(np.isfinite(rows).all(axis=1), np.arange(n), 0))
     T_WH, T_WO, gc = (np.nan_to_num(values[whole]) for values in (record.T_WH, record.T_WO, record.gc))
-    R, t = part_poses(meshes, T_WH, gc[:, 6:])
+    R, t = meshes.chain.part_frames(T_WH[:, :3, :3], T_WH[:, :3, 3], gc[:, N_WRIST:])
     R = np.concatenate([R, T_WO[:, None, :3, :3]], axis=1)
     t = np.concatenate([t, T_WO[:, None, :3, 3]], axis=1)
     return blendable(R), t

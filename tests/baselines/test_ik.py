@@ -42,6 +42,7 @@ def test_it_is_a_baseline_of_its_name() -> None:
 
 def test_key_points_of_contacts() -> None:
     goal, distance = np.zeros((1, 16), bool), np.full((1, 21), 0.05)
+    keypoint_parts = free_hand().chain.keypoint_parts
     names = {name: i for i, name in enumerate(KEYPOINTS)}
 
     def chosen(*parts: str, **near: float) -> set[str]:
@@ -49,7 +50,7 @@ def test_key_points_of_contacts() -> None:
         goal[0, [PARTS.index(part) for part in parts]] = True
         for name, d in near.items():
             distance[0, names[name]] = d
-        return {KEYPOINTS[k] for k in np.flatnonzero(contact_keypoints(goal, distance)[0])}
+        return {KEYPOINTS[k] for k in np.flatnonzero(contact_keypoints(keypoint_parts, goal, distance)[0])}
 
     assert chosen() == set() and chosen("palm") == set()
     assert chosen("index_middle") == {"index_middle"}

@@ -6,6 +6,7 @@ import shutil
 from pathlib import Path
 
 from dgrasp.files.paths import data_root
+from dgrasp.hand.mano.layout import MANO_NAMES
 from dgrasp.labels.formats.native import write_native
 from dgrasp.types import GraspLabel
 from tests.scenes import free_hand, make_label
@@ -24,5 +25,5 @@ def make_folder(root: Path, count: int = 2) -> Path:
     (root / "labels").mkdir()
     shutil.copy(data_root() / "free" / "hand" / "free_hand.urdf", root / "hand")
     for split in ("train", "test"):
-        write_native(root / "labels" / f"free_{split}.npz", labels(count), {"made by": "tests"}, "MIT")
+        write_native(root / "labels" / f"free_{split}.npz", labels(count), {"made by": "tests"}, "MIT", MANO_NAMES)
     return root

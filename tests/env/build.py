@@ -21,6 +21,7 @@ from dgrasp.scene.state import state_views
 from dgrasp.types import Array, GraspGoal, GraspLabel, SceneState, StartPose
 from raisim_like.rotations import transform
 from tests import scenes
+from tests.scenes import LAYOUT
 
 
 @cache
@@ -64,7 +65,7 @@ def random_rotations(n: int, rng: np.random.Generator, largest: float = 1.2) -> 
 def random_state(n: int, seed: int = 0) -> SceneState:
     """N states in which every number is somewhere, and hand and key points agree."""
     rng = np.random.default_rng(seed)
-    s = state_views(n)
+    s = state_views(n, LAYOUT)
     s.gc[:] = rng.uniform(-0.4, 0.4, (n, 51))
     s.gv[:] = rng.normal(size=(n, 51))
     s.R_WH0[:] = random_rotations(n, rng, 0.5)
@@ -101,7 +102,7 @@ def random_labels(n: int, seed: int = 1) -> list[GraspLabel]:
 
 def state_at(labels: list[GraspLabel]) -> SceneState:
     """The states in which every label is reached: H0 is the label's wrist, the object where the label has it."""
-    s = state_views(len(labels))
+    s = state_views(len(labels), LAYOUT)
     s.gc[:, 6:] = [one.hand_pose for one in labels]
     s.R_WH0[:] = s.R_WH[:] = [one.T_WH[:3, :3] for one in labels]
     s.wrist_start_W[:] = [one.T_WH[:3, 3] for one in labels]

@@ -25,6 +25,7 @@ from tests.env.build import (
     state_at,
     yaw_and_shift,
 )
+from tests.scenes import LAYOUT
 
 PUBLISHED = {
     "joint_positions": (0, 51),
@@ -47,27 +48,27 @@ GOAL_BLOCKS = {"joint_position_error_H", "pose_error", "goal_contacts", "achieve
 
 
 def test_phi_has_the_order_of_the_published_policies() -> None:
-    layer = FeatureLayer(EnvConfig())
+    layer = FeatureLayer(EnvConfig(), LAYOUT)
     assert {name: (part.start, part.stop) for name, part in layer.slices.items()} == PUBLISHED
     assert list(layer.slices) == list(PUBLISHED)
-    assert layer.size == sum(feature.size for feature in PHI) == 279
+    assert layer.size == sum(feature.size_for(LAYOUT) for feature in PHI) == 279
 
 
 @pytest.mark.parametrize("name", FEATURE_LAYERS)
 def test_blocks_follow_each_other_and_fill_the_observation(name: str) -> None:
-    layer = FeatureLayer(EnvConfig(features=name))
+    layer = FeatureLayer(EnvConfig(features=name), LAYOUT)
     state, goal = random_state(3), goals(3)
     end = 0
     for feature in layer.features:
         assert layer.slices[feature.name].start == end
-        assert np.shape(feature.value(state, goal, relations(state, goal))) == (3, feature.size)
+        assert np.shape(feature.value(state, goal, relations(state, goal))) == (3, feature.size_for(LAYOUT))
         assert feature.frame and feature.unit
         end = layer.slices[feature.name].stop
     assert layer.size == end and len(layer.slices) == len(layer.features)
 
 
 def test_phi_does_not_see_where_on_the_table_the_scene_is() -> None:
-    state, labels, layer = random_state(8), random_labels(8), FeatureLayer(EnvConfig())
+    state, labels, layer = random_state(8), random_labels(8), FeatureLayer(EnvConfig(), LAYOUT)
     T = yaw_and_shift(1.1, 0.7, -2.3)
     before = observe(layer, state, make_goal(labels))
     after = observe(layer, moved_state(state, T), make_goal([moved_label(one, T) for one in labels]))
@@ -75,7 +76,7 @@ def test_phi_does_not_see_where_on_the_table_the_scene_is() -> None:
 
 
 def test_without_the_layer_the_policy_sees_the_place() -> None:
-    state, labels, layer = random_state(8), random_labels(8), FeatureLayer(EnvConfig(features="full_state"))
+    state, labels, layer = random_state(8), random_labels(8), FeatureLayer(EnvConfig(features="full_state"), LAYOUT)
     T = yaw_and_shift(1.1, 0.7, -2.3)
     difference = observe(layer, moved_state(state, T), make_goal(labels)) - observe(layer, state, make_goal(labels))
     changed = {f.name for f in layer.features if np.abs(difference[:, layer.slices[f.name]]).max() > 1e-9}
@@ -92,7 +93,7 @@ def test_goal_errors_do_not_see_any_rigid_motion() -> None:
 
 @pytest.mark.parametrize("name", FEATURE_LAYERS)
 def test_no_element_is_constant(name: str) -> None:
-    layer = FeatureLayer(EnvConfig(features=name))
+    layer = FeatureLayer(EnvConfig(features=name), LAYOUT)
     observation = observe(layer, random_state(64), goals(64))
     constant = [f.name for f in layer.features if (np.ptp(observation[:, layer.slices[f.name]], axis=0) == 0).any()]
     assert constant == []
@@ -100,7 +101,8 @@ def test_no_element_is_constant(name: str) -> None:
 
 @pytest.mark.parametrize("name", FEATURE_LAYERS)
 def test_without_goal_space_exactly_the_goal_blocks_are_missing(name: str) -> None:
-    full, bare = FeatureLayer(EnvConfig(features=name)), FeatureLayer(EnvConfig(features=name, goal_space=False))
+    full = FeatureLayer(EnvConfig(features=name), LAYOUT)
+    bare = FeatureLayer(EnvConfig(features=name, goal_space=False), LAYOUT)
     dropped = set(full.slices) - set(bare.slices)
     if name == "phi":
         assert dropped == GOAL_BLOCKS
@@ -143,7 +145,7 @@ def one_of_each(layer: FeatureLayer, R_WH: Array) -> dict[str, Array]:
 
 
 def test_blocks_by_hand_with_the_wrist_along_the_axes() -> None:
-    b = one_of_each(FeatureLayer(EnvConfig()), np.eye(3))
+    b = one_of_each(FeatureLayer(EnvConfig(), LAYOUT), np.eye(3))
     assert b["wrist_linvel"].tolist() == [0, 1, 2] and b["wrist_angvel"].tolist() == [3, 4, 5]
     assert b["finger_velocities"].tolist() == list(range(6, 51))
     assert np.allclose(b["wrist_from_object_H"], [0.3, -0.1, 0.25], atol=1e-15)
@@ -159,7 +161,7 @@ def test_blocks_by_hand_with_the_wrist_along_the_axes() -> None:
 
 def test_blocks_by_hand_with_the_wrist_turned_about_x() -> None:
     """A quarter turn about x: what points up in the world points along the wrist's y."""
-    b = one_of_each(FeatureLayer(EnvConfig()), np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]]))
+    b = one_of_each(FeatureLayer(EnvConfig(), LAYOUT), np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]]))
     assert np.allclose(b["table_height_H"], [0, 0.3, 0], atol=1e-15)
     assert np.allclose(b["wrist_from_object_H"], [0.3, 0.25, 0.1], atol=1e-15)
     assert np.allclose(b["object_linvel_H"], [1, 3, -2], atol=1e-15)
@@ -195,7 +197,7 @@ def test_the_goal_wrist_goes_with_the_object() -> None:
 
 
 def test_observing_changes_nothing_and_keeps_nothing() -> None:
-    state, goal, layer = random_state(3), goals(3), FeatureLayer(EnvConfig())
+    state, goal, layer = random_state(3), goals(3), FeatureLayer(EnvConfig(), LAYOUT)
     before = copy_state(state)
     out = np.zeros((3, 279), np.float32)
     layer(state, goal, relations(state, goal), out)
@@ -212,7 +214,7 @@ def test_the_page_in_docs_is_the_specification() -> None:
 
 def test_scaled_features_are_the_plain_ones_times_their_scale_and_clamped() -> None:
     state, goal = random_state(4), goals(4)
-    plain, scaled = FeatureLayer(EnvConfig()), FeatureLayer(EnvConfig(scaled_features=True))
+    plain, scaled = FeatureLayer(EnvConfig(), LAYOUT), FeatureLayer(EnvConfig(scaled_features=True), LAYOUT)
     a, b = np.zeros((4, plain.size), np.float32), np.zeros((4, plain.size), np.float32)
     plain(state, goal, relations(state, goal), a)
     scaled(state, goal, relations(state, goal), b)
@@ -227,7 +229,7 @@ def test_scaled_features_are_the_plain_ones_times_their_scale_and_clamped() -> N
 def test_the_critic_s_features_come_last_and_are_not_the_actor_s() -> None:
     state, goal = random_state(2), goals(2)
     state.table_gone[:], state.episode_time[:] = [0.0, 1.0], [0.25, 0.75]
-    layer = FeatureLayer(EnvConfig(critic_features=True))
+    layer = FeatureLayer(EnvConfig(critic_features=True), LAYOUT)
     assert (layer.actor_size, layer.size) == (279, 281)
     out = np.zeros((2, layer.size), np.float32)
     layer(state, goal, relations(state, goal), out)

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
 from dgrasp.env.goal import make_goal
 from dgrasp.env.grasp_env import GraspEnv
-from dgrasp.env.start import APPROACH_DISTANCE, at_rest, start_pose
+from dgrasp.env.start import APPROACH_DISTANCE, start_pose
+from dgrasp.hand.load import load_hand
 from dgrasp.scene.scene import Scene
 from raisim_like.rotations import matrix_from_euler, transform
 from tests.env.build import moved_label, random_labels, random_rotations
@@ -57,11 +60,11 @@ def test_without_a_start_the_wrist_is_drawn_back_from_the_object() -> None:
         assert (start.hand_pose >= low).all() and (start.hand_pose <= high).all()
 
 
-def test_a_left_hand_at_rest_is_the_mirror_image() -> None:
-    right = free_hand()
-    left = replace(right, id="mano_left-0123", limits=np.tile([-3.0, 3.0], (51, 1)))
-    wide = replace(right, limits=np.tile([-3.0, 3.0], (51, 1)))
-    assert np.array_equal(at_rest(left).reshape(15, 3), at_rest(wide).reshape(15, 3) * [1, -1, -1])
+def test_a_left_hand_at_rest_is_the_mirror_image(tmp_path: Path) -> None:
+    wide = re.sub(r'lower="[^"]*" upper="[^"]*"', 'lower="-3" upper="3"', free_hand().urdf.path.read_text("utf-8"))
+    (tmp_path / "wide.urdf").write_text(wide, encoding="utf-8")
+    right, left = (load_hand(tmp_path / "wide.urdf", "wide", side).rest.reshape(15, 3) for side in ("right", "left"))
+    assert np.abs(right).max() > 0.1 and np.array_equal(left, right * [1, -1, -1])
 
 
 def test_a_wrist_in_the_objects_centre_goes_up() -> None:

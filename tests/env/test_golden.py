@@ -12,12 +12,14 @@ from dgrasp.control.controllers import WristGuidance
 from dgrasp.env.features import FeatureLayer
 from dgrasp.env.goal import make_goal
 from dgrasp.env.rewards import Reward
-from dgrasp.hand.model import HandModel, load_hand
+from dgrasp.hand.load import load_hand
+from dgrasp.hand.model import HandModel
 from dgrasp.scene.relations import relations
 from dgrasp.scene.state import state_views
 from dgrasp.types import GraspGoal, GraspLabel, SceneState
 from raisim_like.rotations import matrix_from_euler, matrix_from_quaternion, transform
 from tests.reference import reference_or_skip
+from tests.scenes import LAYOUT
 
 
 @pytest.fixture(scope="module")
@@ -28,7 +30,7 @@ def golden() -> dict[str, Any]:
 
 @pytest.fixture(scope="module")
 def reference_hand() -> HandModel:
-    return load_hand(reference_or_skip() / "hand" / "mano_mean.urdf", "mano_mean")
+    return load_hand(reference_or_skip() / "hand" / "mano_mean.urdf", "mano_mean", weight_carried=False, mano=True)
 
 
 @pytest.fixture(scope="module")
@@ -48,7 +50,7 @@ def goal(golden: dict[str, Any]) -> GraspGoal:
 @pytest.fixture(scope="module")
 def state(golden: dict[str, Any]) -> SceneState:
     label = golden["label"]
-    s = state_views(len(label))
+    s = state_views(len(label), LAYOUT)
     start = golden["label_qpos_reset"][label]
     s.R_WH0[:], s.wrist_start_W[:] = matrix_from_euler(start[:, 3:6]), start[:, :3]
     s.object_start_W[:] = golden["label_obj_pose_reset"][label, :3]
@@ -68,9 +70,9 @@ def test_key_points_of_the_states(golden: dict[str, Any], state: SceneState, ref
     assert np.abs(R - golden["R_WH"]).max() < 1e-6
 
 
-@pytest.mark.parametrize("block", [feature.name for feature in FeatureLayer(EnvConfig()).features])
+@pytest.mark.parametrize("block", [feature.name for feature in FeatureLayer(EnvConfig(), LAYOUT).features])
 def test_observations(golden: dict[str, Any], state: SceneState, goal: GraspGoal, block: str) -> None:
-    layer = FeatureLayer(EnvConfig())
+    layer = FeatureLayer(EnvConfig(), LAYOUT)
     observation = np.zeros((len(state.gc), layer.size))
     layer(state, goal, relations(state, goal), observation)
     part = layer.slices[block]
@@ -79,7 +81,7 @@ def test_observations(golden: dict[str, Any], state: SceneState, goal: GraspGoal
 
 
 def test_rewards(golden: dict[str, Any], state: SceneState, goal: GraspGoal) -> None:
-    reward = Reward(RewardConfig())
+    reward = Reward(RewardConfig(), LAYOUT)
     terms, total = np.zeros((len(state.gc), len(reward.names))), np.zeros(len(state.gc))
     reward(state, goal, relations(state, goal), terms, total)
     assert np.abs(total - golden["reward"]).max() < 1e-5
@@ -89,7 +91,7 @@ def test_rewards(golden: dict[str, Any], state: SceneState, goal: GraspGoal) -> 
 def test_pd_targets(
     golden: dict[str, Any], state: SceneState, goal: GraspGoal, reference_hand: HandModel
 ) -> None:
-    controller = WristGuidance(ActionConfig())
+    controller = WristGuidance(ActionConfig(), LAYOUT)
     target = np.zeros((len(state.gc), 51))
     controller.bias(state, goal, target)
     target += controller.sigma * golden["action"]

@@ -6,18 +6,19 @@ import numpy as np
 import pytest
 
 from dgrasp.config.sections import RewardConfig
-from dgrasp.env.rewards import TERMS, Reward, keypoint_weights
+from dgrasp.env.rewards import TERMS, Parameters, Reward, keypoint_weights
 from dgrasp.hand.mano.skeleton import TIPS
 from dgrasp.scene.relations import Relations
 from dgrasp.scene.state import state_views
 from dgrasp.types import Array, GraspGoal, SceneState
+from tests.scenes import LAYOUT
 
 TIP_WEIGHT, JOINT_WEIGHT = 4 * 21 / 36, 21 / 36  # 16 joints and 5 tips that count 4 times: sum 36, mean 1.
 
 
 def tiny() -> tuple[SceneState, GraspGoal, Relations]:
     """Two states: one with a round number in every term, one at rest in its goal."""
-    s = state_views(2)
+    s = state_views(2, LAYOUT)
     s.contacts[0, [1, 2, 7]] = 1.0
     s.contact_impulse[0, [1, 2, 7]] = 0.02, 0.03, 0.5
     s.object_mass[:] = 0.4
@@ -37,15 +38,20 @@ def tiny() -> tuple[SceneState, GraspGoal, Relations]:
 
 def term(name: str, config: RewardConfig | None = None) -> Array:
     s, goal, r = tiny()
-    return TERMS[name](s, goal, r, config or RewardConfig())
+    return TERMS[name](s, goal, r, parameters(config))
+
+
+def parameters(config: RewardConfig | None = None) -> Parameters:
+    config = config or RewardConfig()
+    return Parameters(config, keypoint_weights(config, LAYOUT))
 
 
 def test_key_point_weights_have_mean_one() -> None:
-    w = keypoint_weights(RewardConfig())
+    w = keypoint_weights(RewardConfig(), LAYOUT)
     assert w.mean() == pytest.approx(1.0)
     assert w[list(TIPS)] == pytest.approx(TIP_WEIGHT)
     assert np.delete(w, TIPS) == pytest.approx(JOINT_WEIGHT)
-    assert keypoint_weights(RewardConfig(tip_weight=1.0)).tolist() == [1.0] * 21
+    assert keypoint_weights(RewardConfig(tip_weight=1.0), LAYOUT).tolist() == [1.0] * 21
 
 
 def test_position_term_with_the_weight_squared_as_the_authors_code_has_it() -> None:
@@ -72,26 +78,26 @@ def test_position_and_pose_have_a_floor() -> None:
     r.joint_position_error_H[0] = 10.0
     r.pose_error[0] = 10.0
     for name in ("position", "pose"):
-        assert TERMS[name](s, goal, r, RewardConfig()).tolist() == [-10.0, 0.0]
-        assert TERMS[name](s, goal, r, RewardConfig(position_floor=-1.5))[0] == -1.5
+        assert TERMS[name](s, goal, r, parameters(RewardConfig())).tolist() == [-10.0, 0.0]
+        assert TERMS[name](s, goal, r, parameters(RewardConfig(position_floor=-1.5)))[0] == -1.5
 
 
 def test_impulse_is_capped_by_the_objects_mass() -> None:
     s, goal, r = tiny()
     s.contact_impulse[0, [1, 3]] = 2.0
-    assert TERMS["impulse"](s, goal, r, RewardConfig())[0] == pytest.approx(5.0 * 0.4)
-    assert TERMS["impulse"](s, goal, r, RewardConfig(impulse_per_mass=1.0))[0] == pytest.approx(0.4)
+    assert TERMS["impulse"](s, goal, r, parameters(RewardConfig()))[0] == pytest.approx(5.0 * 0.4)
+    assert TERMS["impulse"](s, goal, r, parameters(RewardConfig(impulse_per_mass=1.0)))[0] == pytest.approx(0.4)
 
 
 def test_without_goal_contacts_there_is_nothing_to_gain_and_no_nan() -> None:
     s, goal, r = tiny()
     goal.goal_contacts[:] = 0.0
-    assert TERMS["contact"](s, goal, r, RewardConfig()).tolist() == [0.0, 0.0]
-    assert TERMS["impulse"](s, goal, r, RewardConfig()).tolist() == [0.0, 0.0]
+    assert TERMS["contact"](s, goal, r, parameters(RewardConfig())).tolist() == [0.0, 0.0]
+    assert TERMS["impulse"](s, goal, r, parameters(RewardConfig())).tolist() == [0.0, 0.0]
 
 
 def total(config: RewardConfig) -> tuple[Reward, Array, Array]:
-    reward = Reward(config)
+    reward = Reward(config, LAYOUT)
     terms, sums = np.zeros((2, len(reward.names)), np.float32), np.zeros(2, np.float32)
     reward(*tiny(), terms, sums)
     return reward, terms, sums

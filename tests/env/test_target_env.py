@@ -22,9 +22,9 @@ from dgrasp.scene.state import state_views
 from dgrasp.types import Array, SceneState
 from raisim_like.rotations import rotation_vector
 from tests.env.build import goals, hand, label, moved_state, observe, random_state, yaw_and_shift
-from tests.scenes import make_spec
+from tests.scenes import LAYOUT, make_spec
 
-PSI_LAYER = FeatureLayer(EnvConfig(task="motion"))
+PSI_LAYER = FeatureLayer(EnvConfig(task="motion"), LAYOUT)
 SHORT = ["env.grasp_steps=3", "env.episode_steps=7", "physics.substeps=2", "motion.stable_alone=false"]
 QUARTER = Rotation.from_rotvec([0, 0, np.pi / 2]).as_matrix()
 
@@ -45,7 +45,7 @@ def motion_spec(count: int = 1, grasp: Actor | None = None):
 
 def by_hand() -> SceneState:
     """H0 a quarter turn about z; the object a quarter turn past its target and (3, 4, 12) m from it."""
-    s = state_views(1)
+    s = state_views(1, LAYOUT)
     s.R_WH0[0] = s.R_WH[0] = QUARTER
     s.joints_W[0, 0] = [0.1, 0.2, 0.3]
     s.gv[0, :6] = [1.0, 2.0, 3.0, 4.0, 5.0, 6.0]
@@ -87,22 +87,22 @@ def test_psi_sees_the_shift_in_positions_alone_and_turns_with_the_scene() -> Non
 
 
 def test_flat_sees_phi_and_then_psi_and_goals_of_the_label_can_go() -> None:
-    flat, phi = FeatureLayer(EnvConfig(task="flat")), FeatureLayer(EnvConfig())
+    flat, phi = FeatureLayer(EnvConfig(task="flat"), LAYOUT), FeatureLayer(EnvConfig(), LAYOUT)
     state, goal = random_state(3), goals(3)
     assert flat.size == 279 + 30
     assert np.array_equal(observe(flat, state, goal)[:, :279], observe(phi, state, goal))
     assert np.array_equal(observe(flat, state, goal)[:, 279:], observe(PSI_LAYER, state, goal))
-    assert FeatureLayer(EnvConfig(task="motion", goal_space=False)).size == 30
+    assert FeatureLayer(EnvConfig(task="motion", goal_space=False), LAYOUT).size == 30
     # What both hold is there once.
-    both = FeatureLayer(EnvConfig(task="flat", features="full_state"))
+    both = FeatureLayer(EnvConfig(task="flat", features="full_state"), LAYOUT)
     assert both.size == 263 + 30 - len({"wrist_position_W", "wrist_euler_W", "object_position_W", "object_euler_W",
                                         "object_linvel_W", "object_angvel_W"}) * 3  # fmt: skip
-    critic = FeatureLayer(EnvConfig(task="motion", critic_features=True))
+    critic = FeatureLayer(EnvConfig(task="motion", critic_features=True), LAYOUT)
     assert (critic.actor_size, critic.size) == (30, 32)
 
 
 def paid(task: str, state: SceneState, **weights: float) -> tuple[tuple[str, ...], Array]:
-    reward, n = Reward(RewardConfig(**weights), task), len(state.gc)
+    reward, n = Reward(RewardConfig(**weights), LAYOUT, task), len(state.gc)
     terms, total = np.zeros((n, len(reward.names))), np.zeros(n)
     reward(state, goals(n), relations(state, goals(n)), terms, total)
     return reward.names, total
@@ -189,7 +189,7 @@ def test_the_frozen_policy_has_the_fingers_and_psi_the_wrist() -> None:
     # A reset of training makes the grasp, and what is paid begins after it.
     assert env.clock[0] == 3 and np.isfinite(observation).all()
     before = env.s.gc.copy()
-    phi = observe(FeatureLayer(EnvConfig()), env.s, env.goal).astype(np.float32)
+    phi = observe(FeatureLayer(EnvConfig(), LAYOUT), env.s, env.goal).astype(np.float32)
     means = np.zeros((1, 51), np.float32)
     frozen(bias=1.0).means(phi, means)
     action = np.array([[1.0, -2.0, 3.0, 0.0, 0.0, 0.0]])

@@ -10,6 +10,7 @@ import pytest
 
 from dgrasp.errors import DataError
 from dgrasp.eval import agreement
+from dgrasp.hand.mano.layout import MANO_NAMES
 from dgrasp.labels.source import LabelSet
 from tests.scenes import make_spec
 
@@ -19,7 +20,7 @@ def whole(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> LabelSet:
     """Six labels, of 004, 004, 004, 025, 025, 025, standing for the train file."""
     one = make_spec(1).labels[0]
     labels = [replace(one, object_id=name, index=i) for name in ("004_sugar_box", "025_mug") for i in range(3)]
-    made = LabelSet(labels, "hand", "", tmp_path / "train.pkl", "", ("dexycb", "train"), True)
+    made = LabelSet(labels, "hand", MANO_NAMES, "", tmp_path / "train.pkl", "", ("dexycb", "train"), True)
     monkeypatch.setattr(agreement, "load_labels", lambda path: made)
     return made
 

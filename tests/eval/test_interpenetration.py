@@ -14,7 +14,6 @@ from dgrasp.eval.interpenetration import Interpenetration
 from dgrasp.eval.meshes import build_bodies, build_interpenetration
 from dgrasp.eval.paper import paper_column
 from dgrasp.geometry.intersection import Body, body
-from dgrasp.hand.model import load_hand
 from dgrasp.methods.ik import correct_labels
 from dgrasp.objects.body import ObjectBody
 from dgrasp.objects.free import free_object
@@ -123,7 +122,7 @@ def test_the_papers_numbers_are_those_of_the_shell_and_ik_doubles_them() -> None
     config = load_config(None, [f"data={reference}", 'labels.objects=["007","024","025","036"]'])
     choice = resolve(config)
     labels = choice.labels.labels[::3]
-    hand = load_hand(choice.hand_urdf, choice.hand)
+    hand = choice.hand_source.load()
     models = {n: release_object(choice.objects_dir, n, "official", True) for n in choice.labels.objects}
     bodies = build_bodies(choice, models)
     measure = build_interpenetration(choice, config, hand, bodies)

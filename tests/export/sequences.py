@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 
 from dgrasp.export.sequence import StoredSequence
-from dgrasp.hand.mano.skeleton import N_PARTS
+from dgrasp.hand.mano.layout import MANO_NAMES, mano_kinematics
+from dgrasp.hand.mano.skeleton import N_PARTS, PARTS
 from dgrasp.types import Array, EpisodeRecord
 from dgrasp.view.meshes import DisplayMeshes, Mesh
 from raisim_like.rotations import matrix_from_euler, transform
@@ -33,7 +34,7 @@ def meshes() -> DisplayMeshes:
     hand[0], hand[15] = box(0.05, 0.015, 0.04), box(0.015, 0.008, 0.008)
     offsets = np.zeros((N_PARTS, 3))
     offsets[1:, 0] = -0.03
-    return DisplayMeshes(offsets, tuple(hand), box(0.02, 0.05, 0.03))
+    return DisplayMeshes(mano_kinematics(offsets), PARTS, tuple(hand), box(0.02, 0.05, 0.03))
 
 
 def episode(**changes: Any) -> EpisodeRecord:
@@ -61,4 +62,4 @@ def sequence(mano: dict[str, Any] | None = None, **changes: Any) -> StoredSequen
         "data": {"labels": "free_train.npz", "licence": "MIT"}, "table": {"top_m": 0.5, "lowered_m": 0.25},
         "row": {"object": "004_sugar_box", "index": 0, "success": True}, "mano": mano,
     }  # fmt: skip
-    return StoredSequence(episode(**changes), meshes(), about)
+    return StoredSequence(episode(**changes), meshes(), MANO_NAMES, about)

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import io
 import json
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -14,10 +15,10 @@ from dgrasp.errors import DataError
 from dgrasp.export import collect
 from dgrasp.export.arrays import npz_bytes, sequence_arrays
 from dgrasp.hand.mano.file import read_mano
+from dgrasp.hand.mano.layout import mano_kinematics
 from dgrasp.hand.mano.pose import project_pose
 from dgrasp.hand.mano.skeleton import N_PARTS, PART_PARENT
 from dgrasp.hand.mano.skinning import axis_angle_rotations, euler_rotations
-from dgrasp.view.meshes import DisplayMeshes
 from tests.export.sequences import STEPS, episode, sequence
 from tests.hand.mano_file import write_mano
 from tests.scenes import free_hand
@@ -63,7 +64,7 @@ def test_manos_parameters_pose_manos_mesh_as_the_hand_was(tmp_path: Path) -> Non
     _, joints = model.shaped(betas)
     offsets = np.array([joints[i] - joints[PART_PARENT[i]] if i else np.zeros(3) for i in range(N_PARTS)])
     one = sequence({"side": "right", "betas": betas.tolist()})
-    object.__setattr__(one, "meshes", DisplayMeshes(offsets, one.meshes.hand, one.meshes.object))
+    object.__setattr__(one, "meshes", replace(one.meshes, chain=mano_kinematics(offsets)))
     assert "mano_transl" not in sequence_arrays(one)
     arrays = sequence_arrays(one, file)
     record = one.record

@@ -12,8 +12,9 @@ import pytest
 import trimesh
 
 from dgrasp.export.glb import glb_bytes
+from dgrasp.hand.mano.skeleton import PARTS
 from dgrasp.types import Array
-from dgrasp.view.meshes import BODIES, body_poses
+from dgrasp.view.meshes import body_poses
 from tests.eval.records import DT
 from tests.export.sequences import START, STEPS, episode, meshes, sequence
 
@@ -61,7 +62,7 @@ def test_views_fill_the_buffer_without_overlap(file: Parsed) -> None:
 
 def test_nodes_are_the_parts_the_object_and_the_table_below_one_that_turns_y_up(file: Parsed) -> None:
     nodes = file.document["nodes"]
-    assert [node["name"] for node in nodes] == [*BODIES[:16], "004_sugar_box", "table", "dgrasp"]
+    assert [node["name"] for node in nodes] == [*PARTS, "004_sugar_box", "table", "dgrasp"]
     root = nodes[-1]
     assert file.document["scenes"][0]["nodes"] == [18] and root["children"] == list(range(18))
     x, y, z, w = root["rotation"]

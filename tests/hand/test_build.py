@@ -20,6 +20,7 @@ from dgrasp.hand.build.build import DENSITY
 from dgrasp.hand.build.limits import label_limits
 from dgrasp.hand.build.segment import closed_volume
 from dgrasp.hand.mano.file import read_mano
+from dgrasp.hand.mano.layout import MANO_NAMES
 from dgrasp.hand.mano.model import MIRROR, MIRROR_ANGLES, ManoModel
 from dgrasp.hand.mano.skeleton import DOF_NAMES, KEYPOINTS, PARTS, TIPS
 from dgrasp.hand.mano.skinning import euler_rotations, numpy_skin
@@ -178,7 +179,7 @@ def test_the_hand_holds_its_pose_in_the_scene(place: Path, name: str) -> None:
 
 def test_training_runs_on_a_built_hand(place: Path, right: NamedHand, tmp_path: Path) -> None:
     label = dataclasses.replace(make_label(right.model), hand=right.model.id)
-    write_native(tmp_path / "own.npz", [label], "made up", "MIT")
+    write_native(tmp_path / "own.npz", [label], "made up", "MIT", MANO_NAMES)
     words = ["--data", "free", "--run", str(tmp_path / "run"), f"hand={place / 'right'}",
              f"labels.source={tmp_path / 'own.npz'}", "ppo.epochs=1", "env.episode_steps=6", "env.grasp_steps=3",
              "eval.window_s=0.1", "pool.kind=serial", "ppo.hidden=[8]"]
@@ -189,8 +190,8 @@ def test_training_runs_on_a_built_hand(place: Path, right: NamedHand, tmp_path: 
 
 def test_labels_of_another_hand_are_refused(place: Path, right: NamedHand, left: NamedHand, tmp_path: Path) -> None:
     label = dataclasses.replace(make_label(right.model), hand=right.model.id)
-    write_native(tmp_path / "right.npz", [label], "made up", "MIT")
-    write_native(tmp_path / "left.npz", [mirror_label(label, left.model.id)], "made up", "MIT")
+    write_native(tmp_path / "right.npz", [label], "made up", "MIT", MANO_NAMES)
+    write_native(tmp_path / "left.npz", [mirror_label(label, left.model.id)], "made up", "MIT", MANO_NAMES)
 
     def choose(hand: str, labels: str) -> str:
         values = {"data": "free", "hand": str(place / hand), "labels": {"source": str(tmp_path / labels)}}
@@ -234,7 +235,7 @@ def test_the_same_model_gives_the_same_bytes(place: Path, tmp_path: Path) -> Non
 
 def test_limits_of_labels(place: Path, right: NamedHand, tmp_path: Path) -> None:
     label = dataclasses.replace(make_label(right.model, flexion=0.6), hand=right.model.id)
-    write_native(tmp_path / "l.npz", [label], "made up", "MIT")
+    write_native(tmp_path / "l.npz", [label], "made up", "MIT", MANO_NAMES)
     words = ["--mano", str(place / "MANO_RIGHT.pkl"), "--shapes", "hulls", "--limits", str(tmp_path / "l.npz")]
     assert run_command("hand build", [*words, "--out", str(tmp_path / "a")]) == 0
     found = open_hand(str(tmp_path / "a"))

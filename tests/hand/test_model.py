@@ -12,8 +12,9 @@ from scipy.spatial.transform import Rotation
 from dgrasp.errors import DataError
 from dgrasp.files.joblib import read_joblib_arrays
 from dgrasp.hand.free.hand import URDF_PATH
+from dgrasp.hand.load import load_hand
 from dgrasp.hand.mano.skeleton import KEYPOINTS, PARTS
-from dgrasp.hand.model import HandModel, load_hand
+from dgrasp.hand.model import HandModel
 from dgrasp.types import Array
 from raisim_like import World
 from raisim_like.rotations import transform
@@ -124,7 +125,7 @@ def test_other_robots_are_refused_with_the_file_and_the_reason(tmp_path: Path, n
     path = tmp_path / "hand.urdf"
     path.write_text(change(URDF_PATH.read_text(encoding="utf-8")), encoding="utf-8")
     with pytest.raises(DataError) as error:
-        load_hand(path, "free")
+        load_hand(path, "free", mano=True)
     assert str(error.value).startswith(str(path)) and part in str(error.value)
 
 
@@ -145,7 +146,7 @@ def test_key_points_of_the_published_labels(file: str, key: str, count: int) -> 
     reference = reference_or_skip()
     if not (reference / "labels" / file).is_file():
         pytest.skip(f"this release has no {file}")
-    hand = load_hand(reference / "hand" / "mano_mean.urdf", "mano_mean")
+    hand = load_hand(reference / "hand" / "mano_mean.urdf", "mano_mean", weight_carried=False, mano=True)
     content = read_joblib_arrays(reference / "labels" / file)
     qpos = np.concatenate([arrays["final_qpos"] for arrays in content.values()]).astype(float)
     expected = np.concatenate([arrays[key] for arrays in content.values()]).reshape(-1, 21, 3)

@@ -2,25 +2,23 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
 from dgrasp.hand.mano.skeleton import PARTS
-from dgrasp.hand.motions import MOTIONS, hand_motions
-from tests.scenes import free_hand
+from dgrasp.hand.motions import MANO_MOTIONS, hand_motions
+from tests.scenes import free_hand, mirrored
 
 
 def test_motions_bend_fingers_about_their_axes() -> None:
     hand = free_hand()
-    motions = hand_motions(hand, "right")
-    assert motions.to_pose.shape == (len(MOTIONS), 45) == (21, 45)
+    motions = hand_motions(hand)
+    assert motions.to_pose.shape == (len(MANO_MOTIONS), 45) == (21, 45)
     # The middle finger, which points along -x, flexes about z of its three joints, and its pads face -y like the palm.
     for name, joint in (("middle_proximal", 11), ("middle_middle", 14), ("middle_distal", 17)):
         expected = np.zeros(45)
         expected[joint] = 1.0
-        assert motions.to_pose[MOTIONS.index(name)] == pytest.approx(expected, abs=1e-6)
+        assert motions.to_pose[MANO_MOTIONS.index(name)] == pytest.approx(expected, abs=1e-6)
     for part in ("palm", "middle_proximal", "middle_distal"):
         assert motions.palmar[PARTS.index(part)] == pytest.approx([0.0, -1.0, 0.0], abs=0.01)
     assert np.linalg.norm(motions.palmar, axis=1) == pytest.approx(np.ones(16))
@@ -31,10 +29,10 @@ def test_motions_bend_fingers_about_their_axes() -> None:
 
 
 def test_fingers_of_the_prior_bend_alike() -> None:
-    factor = hand_motions(free_hand(), "right").factor
+    factor = hand_motions(free_hand()).factor
     covariance = factor @ factor.T
     spread = np.sqrt(np.diag(covariance))
-    index, ring, middle, distal = (MOTIONS.index(k) for k in ("index_middle", "ring_middle", "middle_middle",
+    index, ring, middle, distal = (MANO_MOTIONS.index(k) for k in ("index_middle", "ring_middle", "middle_middle",
                                                               "index_distal"))  # fmt: skip
     correlation = covariance / np.outer(spread, spread)
     assert correlation[index, middle] == pytest.approx(0.75) and correlation[index, ring] == pytest.approx(0.75**2)
@@ -44,7 +42,7 @@ def test_fingers_of_the_prior_bend_alike() -> None:
 
 def test_a_left_hand_is_the_mirror_image() -> None:
     hand, mirror = free_hand(), np.array([-1.0, 1.0, 1.0])
-    left = replace(hand, offsets=hand.offsets * mirror, tips=hand.tips * mirror)
-    right, motions = hand_motions(hand, "right"), hand_motions(left, "left")
+    left = mirrored(hand)
+    right, motions = hand_motions(hand), hand_motions(left)
     assert motions.palmar == pytest.approx(right.palmar * mirror, abs=1e-12)
     assert motions.to_pose == pytest.approx(right.to_pose * np.tile([1.0, -1.0, -1.0], 15), abs=1e-12)

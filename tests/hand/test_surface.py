@@ -17,7 +17,6 @@ from dgrasp.hand.build.segment import closed_volume
 from dgrasp.hand.free.skin import free_skin
 from dgrasp.hand.mano.file import read_mano
 from dgrasp.hand.mano.skinning import euler_rotations, numpy_skin
-from dgrasp.hand.spheres import part_poses
 from dgrasp.hand.store import NamedHand, open_hand
 from dgrasp.hand.surface import COLLISION, PART_MESHES, SKIN, RigidSurface, hand_surface, rigid_surface
 from dgrasp.types import Array
@@ -72,7 +71,7 @@ def test_parts_of_the_free_hand_are_cut_from_its_skin() -> None:
 
 def test_a_free_hand_of_other_joints_keeps_its_shapes() -> None:
     hand = free_hand()
-    longer = dataclasses.replace(hand, offsets=1.1 * hand.offsets)
+    longer = dataclasses.replace(hand, chain=dataclasses.replace(hand.chain, offsets=1.1 * hand.offsets))
     assert hand_surface(longer, None, {}).kind == COLLISION
 
 
@@ -83,7 +82,7 @@ def test_a_hand_without_meshes_has_its_collision_shapes(pose: tuple[Array, Array
     pieces = surface.pieces(*pose)
     shapes = [(part, shape) for part in range(16) for shape in hand.urdf.links[int(hand.part_links[part])].shapes]
     assert len(pieces) == len(shapes)
-    R, t = part_poses(hand, pose[0][None], pose[1][None])
+    R, t = hand.part_poses(pose[0][None], pose[1][None])
     for piece, (part, shape) in zip(pieces, shapes, strict=True):
         exact = shape_properties(shape)
         assert piece.solid.volume() == pytest.approx(exact.volume, rel=0.01)

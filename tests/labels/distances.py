@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from dgrasp.hand.model import HandModel
-from dgrasp.hand.spheres import HandSpheres, part_poses
+from dgrasp.hand.spheres import HandSpheres
 from dgrasp.types import Array
 from raisim_like.rotations import matrix_from_quaternion
 from raisim_like.shapes import Shape
@@ -57,13 +57,13 @@ def part_distances(
     hand: HandModel, spheres: HandSpheres, shapes: Sequence[Shape], T_WH: Array, hand_pose: Array, T_WO: Array
 ) -> Array:
     """(N, 16) m between the hand's parts and the object at T_WO (N, 4, 4), negative where they overlap."""
-    centers_W = spheres.place(*part_poses(hand, T_WH, hand_pose))
+    centers_W = spheres.place(*hand.part_poses(T_WH, hand_pose))
     centers_O = np.matmul(centers_W - T_WO[:, None, :3, 3], T_WO[:, :3, :3])
     return spheres.per_part(signed_distance(shapes, centers_O))
 
 
 def hand_bottom(hand: HandModel, spheres: HandSpheres, T_WH: Array, hand_pose: Array) -> Array:
     """(N,) m: height of the hand's lowest point in the world."""
-    centers_W = spheres.place(*part_poses(hand, T_WH, hand_pose))
+    centers_W = spheres.place(*hand.part_poses(T_WH, hand_pose))
     bottom: Array = (centers_W[..., 2] - spheres.radii).min(axis=1)
     return bottom

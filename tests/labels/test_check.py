@@ -12,7 +12,8 @@ from dgrasp.cli import main
 from dgrasp.files.paths import data_root
 from dgrasp.geometry.intersection import Body, body
 from dgrasp.geometry.shape_mesh import shape_mesh
-from dgrasp.hand.spheres import HandSpheres, part_poses
+from dgrasp.hand.mano.layout import MANO_NAMES
+from dgrasp.hand.spheres import HandSpheres
 from dgrasp.labels.formats.native import read_native, write_native
 from dgrasp.labels.quality.measure import Finding, duplicates, measure_labels
 from dgrasp.labels.quality.weight import Carrying
@@ -141,7 +142,7 @@ def test_the_far_side_of_a_thin_wall_is_not_touched() -> None:
     # An upright plate, 3 mm thick, and a hand 1 mm beside it: if its other side counted, it would be pinched.
     carrying = Carrying(HAND, {"box": body([shape_mesh(Shape("box", (0.003, 0.6, 0.6)))])}, {"box": np.zeros(3)})
     spheres = HandSpheres.of_hand(HAND)
-    at_rest = spheres.place(*part_poses(HAND, np.eye(4)[None], np.zeros((1, 45))))[0]
+    at_rest = spheres.place(*HAND.part_poses(np.eye(4)[None], np.zeros((1, 45))))[0]
     nearest = float((at_rest[:, 0] - spheres.radii).min())
     assert not carrying.carries(label((0.0015 + 0.001 - nearest, 0.0, 0.0)))
 
@@ -150,7 +151,7 @@ def test_a_hull_that_is_pressed_in_deeply_touches() -> None:
     # Points of hulls have no radius; between them is the hand.
     carrying = Carrying(HAND, {"box": body([shape_mesh(Shape("box", (0.2, 0.2, 0.2)))])}, {"box": np.zeros(3)})
     corners = np.array([[x, y, z] for x in (-0.01, 0.01) for y in (-0.01, 0.01) for z in (-0.05, 0.05)])
-    carrying._spheres = HandSpheres(corners, np.zeros(8), np.zeros(8, int))
+    carrying._spheres = HandSpheres(corners, np.zeros(8), np.zeros(8, int), 16)
     points = np.array([[0.0, 0.0, 0.0], [0.02, 0.0, 0.0]])
     assert carrying._pressed(points, corners, np.full(2, np.inf)).tolist() == [True, False]
 
@@ -186,7 +187,7 @@ def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None
     lifted = chosen[0].T_WO.copy()
     lifted[2, 3] += 1.0
     chosen.append(dataclasses.replace(chosen[0], T_WO=lifted, index=7))
-    write_native(tmp_path / "a.npz", chosen, "p", "CC0 <b>")
+    write_native(tmp_path / "a.npz", chosen, "p", "CC0 <b>", MANO_NAMES)
     assert main(["labels", "check", str(tmp_path / "a.npz"), "--data", "free", "--html"]) == 0
     shown = capsys.readouterr().out
     assert "5 labels of 2 objects: 5 with an approach, 5 with a table" in shown

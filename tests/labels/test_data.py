@@ -15,6 +15,7 @@ from dgrasp.config.experiment import Config, make_config
 from dgrasp.data import resolve
 from dgrasp.errors import DataError
 from dgrasp.files import paths
+from dgrasp.hand.mano.layout import MANO_NAMES
 from dgrasp.labels.formats.native import write_native
 from tests.labels.files import dexycb_content, dump, make_labels, static_content
 from tests.reference import reference_or_skip
@@ -45,7 +46,7 @@ def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     folder = tmp_path / "project" / "data"
     (folder / "free" / "hand").mkdir(parents=True)
     (folder / "free" / "hand" / "free_hand.urdf").write_text("<robot name='free'/>")
-    write_native(folder / "free" / "labels" / "free_train.npz", make_labels(), {"made": "here"}, "CC0-1.0")
+    write_native(folder / "free" / "labels" / "free_train.npz", make_labels(), {"made": "here"}, "CC0-1.0", MANO_NAMES)
     monkeypatch.setattr(data, "data_root", lambda: folder)
     monkeypatch.setattr(data, "user_data_root", lambda: folder)
     return folder
@@ -201,7 +202,7 @@ def test_a_hand_of_ones_own(tmp_path: Path) -> None:
     other.write_text("<robot name='claw'/>")
     with pytest.raises(DataError, match=r"labels made for the hand 'mano_mean', but the hand of .* is 'claw'"):
         resolve(config(data=str(root), hand=str(other)))
-    write_native(tmp_path / "claw.npz", make_labels(hand="claw"), "p", "l")
+    write_native(tmp_path / "claw.npz", make_labels(hand="claw"), "p", "l", MANO_NAMES)
     choice = resolve(config(data=str(root), hand=str(other), labels={"source": str(tmp_path / "claw.npz")}))
     assert choice.hand == "claw"
 

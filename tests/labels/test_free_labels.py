@@ -12,7 +12,8 @@ from dgrasp.env.grasp_env import GraspEnv
 from dgrasp.files.paths import package_file
 from dgrasp.hand.free.hand import URDF_PATH
 from dgrasp.hand.free.skin import HAND_NAME
-from dgrasp.hand.model import HandModel, load_hand
+from dgrasp.hand.load import load_hand
+from dgrasp.hand.model import HandModel
 from dgrasp.hand.spheres import HandSpheres
 from dgrasp.labels.formats.native import read_native_with_meta
 from dgrasp.labels.recorded.making import split

@@ -17,6 +17,7 @@ import pytest
 
 from dgrasp.errors import DataError
 from dgrasp.files.joblib import read_joblib_arrays
+from dgrasp.hand.mano.layout import MANO_NAMES
 from dgrasp.labels.formats.native import read_native, write_native
 from dgrasp.labels.formats.official import read_official
 from dgrasp.labels.source import load_labels
@@ -100,7 +101,7 @@ def test_mutated_official_files(tmp_path: Path, layout: Callable[[], dict[int, A
 
 def test_mutated_native_files(tmp_path: Path) -> None:
     path = tmp_path / "a.npz"
-    write_native(path, make_labels(), "p", "l")
+    write_native(path, make_labels(), "p", "l", MANO_NAMES)
     raw, rng = path.read_bytes(), np.random.default_rng(12)
     refused = 0
     for _ in range(N):
@@ -111,7 +112,7 @@ def test_mutated_native_files(tmp_path: Path) -> None:
 
 def test_native_files_with_mutated_members(tmp_path: Path) -> None:
     path = tmp_path / "a.npz"
-    write_native(path, make_labels(), "p", "l")
+    write_native(path, make_labels(), "p", "l", MANO_NAMES)
     with zipfile.ZipFile(path) as archive:
         members = {name: archive.read(name) for name in archive.namelist()}
     rng = np.random.default_rng(13)

@@ -8,12 +8,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from dgrasp.hand.mano.model import MIRROR
 from dgrasp.hand.model import HandModel
 from dgrasp.labels.recorded.mirror import mirror_label
 from dgrasp.types import Array, GraspLabel, StartPose
 from raisim_like.rotations import transform
-from tests.scenes import free_hand
+from tests.scenes import free_hand, mirrored
 
 WORLD = np.diag([1.0, -1.0, 1.0])
 
@@ -34,11 +33,6 @@ def key_points(hand: HandModel, T_WH: Array, hand_pose: Array) -> Array:
     gc = np.zeros((1, 51))
     gc[0, 6:] = hand_pose
     return hand.forward(gc, T_WH[None, :3, :3], T_WH[None, :3, 3])[1][0]
-
-
-def mirrored(hand: HandModel) -> HandModel:
-    """The left hand of a right one, by its kinematics alone."""
-    return dataclasses.replace(hand, offsets=hand.offsets * MIRROR, tips=hand.tips * MIRROR)
 
 
 @pytest.mark.parametrize("axis", [0, 1, 2])

@@ -13,8 +13,10 @@ import numpy as np
 import pytest
 
 from dgrasp.errors import DataError
-from dgrasp.labels.formats.native import MAX_BYTES, read_native, read_native_with_meta, write_native
-from dgrasp.types import GraspLabel
+from dgrasp.hand.layout import HandNames
+from dgrasp.hand.mano.layout import MANO_NAMES
+from dgrasp.labels.formats.native import MAX_BYTES, names_of, read_native, read_native_with_meta, write_native
+from dgrasp.types import GraspLabel, StartPose
 from tests.labels.files import make_labels
 
 ARRAYS = ("hand_pose", "T_WH", "T_WO", "joints_W", "goal_contacts")
@@ -55,14 +57,14 @@ def repack(path: Path, **changes: Any) -> Path:
 
 @pytest.fixture
 def native(tmp_path: Path) -> Path:
-    write_native(tmp_path / "a.npz", make_labels(), {"made": "by a test"}, "CC0-1.0")
+    write_native(tmp_path / "a.npz", make_labels(), {"made": "by a test"}, "CC0-1.0", MANO_NAMES)
     return tmp_path / "a.npz"
 
 
 @pytest.mark.parametrize(("n", "seed"), [(1, 0), (4, 1), (31, 2)])
 def test_round_trip_is_exact(tmp_path: Path, n: int, seed: int) -> None:
     labels = make_labels(n, seed=seed)
-    write_native(tmp_path / "a.npz", labels, {"made": ["by", 1]}, "CC0-1.0")
+    write_native(tmp_path / "a.npz", labels, {"made": ["by", 1]}, "CC0-1.0", MANO_NAMES)
     again, meta = read_native_with_meta(tmp_path / "a.npz")
     assert len(again) == n
     for one, two in zip(labels, again, strict=True):
@@ -73,7 +75,7 @@ def test_round_trip_is_exact(tmp_path: Path, n: int, seed: int) -> None:
 
 def test_bytes_depend_on_the_content_alone(tmp_path: Path) -> None:
     for name in ("a.npz", "b.npz"):
-        write_native(tmp_path / name, make_labels(), "p", "l")
+        write_native(tmp_path / name, make_labels(), "p", "l", MANO_NAMES)
     assert (tmp_path / "a.npz").read_bytes() == (tmp_path / "b.npz").read_bytes()
 
 
@@ -82,7 +84,7 @@ def test_a_failed_write_leaves_the_old_file(native: Path) -> None:
     bad = make_labels()
     bad[2].joints_W[3, 1] = np.nan
     with pytest.raises(DataError, match=r"025_mug\[0\]: joints_W holds NaN"):
-        write_native(native, bad, "p", "l")
+        write_native(native, bad, "p", "l", MANO_NAMES)
     assert native.read_bytes() == before
     assert [p.name for p in native.parent.iterdir()] == ["a.npz"]
 
@@ -90,7 +92,7 @@ def test_a_failed_write_leaves_the_old_file(native: Path) -> None:
 def test_unwritable_place(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(DataError, match="cannot be written"):
-        write_native(tmp_path / "file" / "a.npz", make_labels(), "p", "l")
+        write_native(tmp_path / "file" / "a.npz", make_labels(), "p", "l", MANO_NAMES)
 
 
 def _with(**changes: Any) -> list[GraspLabel]:
@@ -114,23 +116,26 @@ def _with(**changes: Any) -> list[GraspLabel]:
 )
 def test_bad_labels_are_not_written(tmp_path: Path, labels: list[GraspLabel], message: str) -> None:
     with pytest.raises(DataError, match=re.escape(message)):
-        write_native(tmp_path / "a.npz", labels, "p", "l")
+        write_native(tmp_path / "a.npz", labels, "p", "l", MANO_NAMES)
     assert not (tmp_path / "a.npz").exists()
 
 
 @pytest.mark.parametrize("provenance", [{"x": object()}, {"x": float("nan")}])
 def test_provenance_must_be_json(tmp_path: Path, provenance: dict[str, Any]) -> None:
     with pytest.raises(DataError, match="provenance"):
-        write_native(tmp_path / "a.npz", make_labels(), provenance, "l")
+        write_native(tmp_path / "a.npz", make_labels(), provenance, "l", MANO_NAMES)
 
 
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"meta": {"schema": 2}}, "schema 2 is newer than this program, which reads 1; update the program"),
-        ({"meta": {"schema": 0}}, "schema 0 is older than 1"),
+        ({"meta": {"schema": 3}}, "schema 3 is newer than this program, which reads 2; update the program"),
+        ({"meta": {"schema": 0}}, "schema 0; expected 1 to 2"),
         ({"meta": {"schema": "1"}}, "no schema number"),
-        ({"meta": {"schema": 2}, "surprise": np.zeros(1)}, "newer"),
+        ({"meta": {"schema": 3}, "surprise": np.zeros(1)}, "newer"),
+        ({"meta": {"joints": None}}, "no table of joints"),
+        ({"meta": {"parts": ["palm", "palm"]}}, "2 names of parts, or one of them twice"),
+        ({"meta": {"keypoints": ["wrist"]}}, "joints_W is float64 of shape (4, 21, 3); expected"),
         ({"meta": {"format": "other"}}, "its description is not that of a label file"),
         ({"meta": {"units": {"length": "mm"}}}, "units other than"),
         ({"meta": {"hand": None}}, "no hand"),
@@ -166,6 +171,30 @@ def test_provenance_must_be_json(tmp_path: Path, provenance: dict[str, Any]) -> 
 def test_bad_files(native: Path, changes: dict[str, Any], message: str) -> None:
     with pytest.raises(DataError, match=re.escape(f"{native}: ") + ".*" + re.escape(message)):
         read_native(repack(native, **changes))
+
+
+def test_a_file_of_schema_1_is_of_a_hand_with_manos_joints(native: Path) -> None:
+    """Its description names no joints, parts and key points; it is read for good."""
+    before = read_native(native)
+    old = repack(native, meta={"schema": 1, "joints": None, "parts": None, "keypoints": None})
+    labels, meta = read_native_with_meta(old)
+    assert names_of(meta) == MANO_NAMES
+    for one, other in zip(before, labels, strict=True):
+        assert np.array_equal(one.hand_pose, other.hand_pose) and np.array_equal(one.joints_W, other.joints_W)
+
+
+def test_labels_of_any_hand_are_read_back(tmp_path: Path) -> None:
+    names = HandNames(("a", "b"), ("palm", "left", "right"), ("wrist", "left", "left_tip", "right"))
+    start = StartPose(np.eye(4), np.eye(4), np.array([0.1, 0.2]))
+    label = GraspLabel("x", np.array([0.3, 0.4]), np.eye(4), np.eye(4), np.zeros((4, 3)), np.array([True, False, True]),
+                       start, "claw", "test", 0)
+    write_native(tmp_path / "a.npz", [label], "made up", "MIT", names)
+    (read,), meta = read_native_with_meta(tmp_path / "a.npz")
+    assert names_of(meta) == names and meta["schema"] == 2
+    assert read.hand_pose.tolist() == [0.3, 0.4] and read.goal_contacts.tolist() == [True, False, True]
+    assert read.joints_W.shape == (4, 3) and read.start is not None and read.start.hand_pose.tolist() == [0.1, 0.2]
+    with pytest.raises(DataError, match=r"hand_pose has shape \(2,\); expected \(45,\)"):
+        write_native(tmp_path / "b.npz", [label], "made up", "MIT", MANO_NAMES)
 
 
 def _bomb(path: Path, announced: int | None) -> Path:

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from dgrasp.errors import DataError
+from dgrasp.hand.mano.layout import MANO_NAMES
 from dgrasp.labels.formats.native import read_native, write_native
 from dgrasp.labels.formats.official import read_official
 from dgrasp.labels.source import load_labels
@@ -70,7 +71,7 @@ def test_objects_start_on_a_table_at_half_a_metre() -> None:
 
 def test_native_round_trip_of_the_release(tmp_path) -> None:  # type: ignore[no-untyped-def]
     labels = _read("dexycb_train_labels.pkl")
-    write_native(tmp_path / "a.npz", labels, "test", "test")
+    write_native(tmp_path / "a.npz", labels, "test", "test", MANO_NAMES)
     for one, two in zip(labels, read_native(tmp_path / "a.npz"), strict=True):
         assert (one.name, one.hand, one.on_table) == (two.name, two.hand, two.on_table)
         np.testing.assert_array_equal(one.joints_W, two.joints_W)

@@ -6,13 +6,14 @@ from pathlib import Path
 import pytest
 
 from dgrasp.errors import DataError
+from dgrasp.hand.mano.layout import MANO_NAMES
 from dgrasp.labels.formats.native import write_native
 from dgrasp.labels.source import LabelSet, load_labels, select
 from tests.labels.files import dexycb_content, dump, make_labels, static_content
 
 
 def test_reader_is_chosen_by_content_not_by_name(tmp_path: Path) -> None:
-    write_native(tmp_path / "a.pkl", make_labels(), "p", "CC0-1.0")
+    write_native(tmp_path / "a.pkl", make_labels(), "p", "CC0-1.0", MANO_NAMES)
     labels = load_labels(tmp_path / "a.pkl")
     assert (labels.hand, labels.licence, labels.published_as) == ("free", "CC0-1.0", None)
     assert not labels.comparable_with_paper

@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from dgrasp.errors import DataError
+from dgrasp.hand.mano.layout import MANO_NAMES
 from dgrasp.labels.source import LabelSet, select
 from dgrasp.labels.splits import UNSEEN, object_set
 from dgrasp.objects.names import YCB_NAMES
@@ -28,7 +29,7 @@ def test_six_sets_of_three() -> None:
 
 def test_as_a_choice_of_objects() -> None:
     # Of the sugar box, which set 1 leaves out, and of the mug, which no set does.
-    labels = LabelSet(make_labels(), "free", "l", Path("a.npz"), "0", None, False)
+    labels = LabelSet(make_labels(), "free", MANO_NAMES, "l", Path("a.npz"), "0", None, False)
     assert select(labels, ["seen_1"]).objects == ["025_mug"]
     assert select(labels, ["unseen_1"]).objects == ["004_sugar_box"]
     assert select(labels, ["unseen_1", "025"]).objects == ["004_sugar_box", "025_mug"]

@@ -8,7 +8,6 @@ import pytest
 from dgrasp.geometry.distance_grid import distance_grid
 from dgrasp.geometry.intersection import body
 from dgrasp.geometry.shape_mesh import shape_mesh
-from dgrasp.hand.spheres import part_poses
 from dgrasp.synthesis.torch_hand import ObjectField, TorchHand, tensor
 from raisim_like.rotations import matrix_from_euler
 from raisim_like.shapes import Shape
@@ -25,11 +24,11 @@ def test_the_field_interpolates_and_goes_on_beyond_its_grid() -> None:
 
 
 def test_kinematics_are_those_of_numpy() -> None:
-    hand, rng = TorchHand(free_hand(), "right"), np.random.default_rng(0)
+    hand, rng = TorchHand(free_hand()), np.random.default_rng(0)
     pose, T = rng.uniform(-0.5, 0.5, (3, 45)), np.tile(np.eye(4), (3, 1, 1))
     T[:, :3, :3], T[:, :3, 3] = matrix_from_euler(rng.uniform(-1, 1, (3, 3))), rng.normal(size=(3, 3))
     posed = hand.forward(tensor(T[:, :3, :3]), tensor(T[:, :3, 3]), tensor(pose))
-    R, t = part_poses(hand.model, T, pose)
+    R, t = hand.model.part_poses(T, pose)
     assert np.abs(posed.R.numpy() - R).max() < 1e-5 and np.abs(posed.t.numpy() - t).max() < 1e-5
     assert np.abs(posed.centers.numpy() - hand.spheres.place(R, t)).max() < 1e-5
     gc = np.concatenate([np.zeros((3, 6)), pose], axis=1)

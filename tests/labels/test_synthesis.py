@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +20,7 @@ from dgrasp.geometry.distance_grid import distance_grid
 from dgrasp.geometry.intersection import body
 from dgrasp.geometry.shape_mesh import shape_mesh
 from dgrasp.hand.mano.skeleton import N_PARTS
-from dgrasp.hand.spheres import HandSpheres, part_poses
+from dgrasp.hand.spheres import HandSpheres
 from dgrasp.hand.store import open_hand
 from dgrasp.labels.recorded.surfaces import Surfaces
 from dgrasp.objects.free import free_object
@@ -46,7 +47,7 @@ BRICK = "061_foam_brick"
 
 @pytest.fixture(scope="module")
 def hand() -> TorchHand:
-    return TorchHand(free_hand(), "right")
+    return TorchHand(free_hand())
 
 
 @pytest.fixture(scope="module")
@@ -99,17 +100,18 @@ def test_terms_of_a_hand_that_touches_nothing(hand: TorchHand, setting: Setting)
     assert float(sunk["table"]) > 1.0
 
 
-def test_wrists_that_no_arm_turns_like_that_cost(hand: TorchHand) -> None:
+def test_wrists_that_no_arm_turns_like_that_cost(hand: TorchHand, monkeypatch: pytest.MonkeyPatch) -> None:
     """Palm down, thumb to the side; then the thumb down, and the fingers up, by 30 degrees each."""
     palm_down = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
     turns = Rotation.from_euler("xyz", [[0, 0, 0], [30, 0, 0], [-30, 0, 0], [0, 30, 0], [0, -30, 0]], degrees=True)
     R, up = tensor(turns.as_matrix() @ palm_down), tensor(np.tile([0.0, 0.0, 1.0], (5, 1)))
-    side, pointing = unnatural(hand, R, up, 1.0).numpy().T
+    side, pointing = unnatural(hand, R, up).numpy().T
     assert side == pytest.approx([0.0, 0.5, 0.0, 0.0, 0.0], abs=0.02)
     # The fingers point along -x.
     assert pointing == pytest.approx([0.0, 0.0, 0.0, 0.5, 0.0], abs=0.06)
     # Of a left hand, the thumb is at the other end of z.
-    assert unnatural(hand, R, up, -1.0).numpy()[:, 0] == pytest.approx([0.0, 0.0, 0.5, 0.0, 0.0], abs=0.02)
+    monkeypatch.setattr(hand, "motions", replace(hand.motions, thumb_side=-1.0))
+    assert unnatural(hand, R, up).numpy()[:, 0] == pytest.approx([0.0, 0.0, 0.5, 0.0, 0.0], abs=0.02)
 
 
 def test_a_round_without_sound_grasps_has_no_starts(hand: TorchHand, setting: Setting) -> None:
@@ -124,7 +126,7 @@ def test_the_descent_brings_the_hand_to_the_object(hand: TorchHand, setting: Set
     T_WO[:, 2, 3] = TABLE_TOP + 0.025
     start = propose(hand, setting, T_WO, rng)
     before = energies(hand, setting.field, start, torch.zeros(4, N_PARTS), torch.zeros(3))
-    found, after = optimise(hand, setting.field, start, np.zeros(3), 1.0, iterations=30)
+    found, after = optimise(hand, setting.field, start, np.zeros(3), iterations=30)
     assert after["contact"].mean() < 0.6 * before["contact"].mean()
     assert after["closure"].mean() < before["closure"].mean()
     yielding = let_yield(hand, setting.field, found, rng)
@@ -182,13 +184,13 @@ def test_a_left_hand_of_hulls_and_an_added_object(tmp_path: Path, monkeypatch: p
     assert run_command("object add", words) == 0
     model, named = load_object(tmp_path / "mine" / "carton", True), open_hand(str(left))
     config = make_config({"eval": {"window_s": 0.3}}, "test")
-    made = Synthesiser(named.model, "left").make(model, 2, np.random.default_rng(3), config, batch=10, iterations=36)
+    made = Synthesiser(named.model).make(model, 2, np.random.default_rng(3), config, batch=10, iterations=36)
     surfaces = Surfaces([tmp_path / "mine"])
     for label in made.labels:
         assert (label.object_id, label.hand) == ("carton", named.model.id)
         assert label.hand.startswith("free_left-") and label.start is not None
         # The vertices of the hulls, which are parts of the skin, are near the box where the label says so.
-        R, t = part_poses(named.model, label.T_WH[None], label.hand_pose[None])
+        R, t = named.model.part_poses(label.T_WH[None], label.hand_pose[None])
         spheres = HandSpheres.of_hand(named.model)
         points_O = (spheres.place(R, t)[0] - label.T_WO[:3, 3]) @ label.T_WO[:3, :3]
         near = surfaces["carton"].near_parts(points_O, spheres.parts)

@@ -18,6 +18,7 @@ from raisim_like.rotations import (
     transform,
 )
 from tests.env.build import hand, make_env, moved_state, random_rotations, random_state
+from tests.scenes import LAYOUT
 
 ACTION = ActionConfig()
 N = 6
@@ -83,7 +84,7 @@ def test_a_moved_scene_gives_the_same_coordinates() -> None:
 def test_the_gain_grows_in_equal_steps() -> None:
     state = random_state(2)
     state.R_WG[:] = state.R_WO
-    control = MotionSynthesis(ACTION, MotionConfig(beta_position=0.8, ramp_position=4))
+    control = MotionSynthesis(ACTION, MotionConfig(beta_position=0.8, ramp_position=4), LAYOUT)
     whole = wrist_target(state, np.ones(2), np.zeros(2))[:, :3] - state.gc[:, :3]
     out, shares = np.empty((2, 51)), []
     for _ in range(7):
@@ -95,13 +96,13 @@ def test_the_gain_grows_in_equal_steps() -> None:
 
 def test_the_policy_keeps_the_fingers_or_they_are_held() -> None:
     state, out = random_state(2), np.empty((2, 51))
-    free = MotionSynthesis(ACTION, MotionConfig())
+    free = MotionSynthesis(ACTION, MotionConfig(), LAYOUT)
     assert (free.sigma[:6] == 0.0).all() and (free.sigma[6:] == ACTION.sigma_fingers).all()
     assert free.kp_position == HOLD_KP_POSITION == 500.0 and free.carries
     free.bias(state, None, out)
     assert np.array_equal(out[:, 6:], state.gc[:, 6:])
     held = np.arange(90.0).reshape(2, 45)
-    static = MotionSynthesis(ACTION, MotionConfig(), held)
+    static = MotionSynthesis(ACTION, MotionConfig(), LAYOUT, held)
     static.bias(state, None, out)
     assert np.array_equal(out[:, 6:], held) and (static.sigma == 0.0).all()
 

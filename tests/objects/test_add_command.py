@@ -13,6 +13,7 @@ from dgrasp.build import build_objects
 from dgrasp.cli import main, run_command
 from dgrasp.config.experiment import load_config
 from dgrasp.data import resolve
+from dgrasp.hand.mano.layout import MANO_NAMES
 from dgrasp.labels.formats.native import write_native
 from dgrasp.objects.store import StoredObject
 from tests.cli.folder import make_folder
@@ -33,7 +34,7 @@ def test_from_a_mesh_to_a_result(tmp_path: Path, capsys: pytest.CaptureFixture[s
     assert json.loads((tmp_path / "mine" / "carton" / "object.json").read_text())["source"]["units"] == "mm"
     data = make_folder(tmp_path / "set")
     labels = [replace(make_label(free_hand()), object_id="carton"), make_label(free_hand())]
-    write_native(tmp_path / "my.npz", labels, "made by tests", "MIT")
+    write_native(tmp_path / "my.npz", labels, "made by tests", "MIT", MANO_NAMES)
     words = ["--baseline", "gt_pd", "--data", str(data), "--labels", str(tmp_path / "my.npz"), "pool.kind=serial",
              "eval.window_s=0.1", "--json", str(tmp_path / "r.json"), "--gif", str(tmp_path / "r.gif")]  # fmt: skip
     assert run_command("test", [*words, f"objects={tmp_path / 'mine'}"]) == 0

@@ -63,7 +63,7 @@ def test_unpacking_gives_back_meshes_and_poses() -> None:
     assert places.reshape(STEPS, 17, 3) == pytest.approx(t, abs=1e-5)
     assert numbers(one["q"], "<i2", 4).reshape(STEPS, 17, 4) / 32767 == pytest.approx(q, abs=2e-5)
     # The palm (bit 0) and the thumb's last part (bit 15) touch from step 2 on.
-    assert numbers(one["c"], "<u2", 1)[:, 0].tolist() == [0, 0] + [1 + 2**15] * 6
+    assert numbers(one["c"], "<u4", 1)[:, 0].tolist() == [0, 0] + [1 + 2**15] * 6
     assert (one["n"], one["dt"], one["start"]) == (STEPS, DT, 2.0)
 
 

@@ -11,7 +11,8 @@ from scipy.spatial.transform import Rotation
 
 from dgrasp.config.sections import ActionConfig, PhysicsConfig
 from dgrasp.hand.free.hand import URDF_PATH
-from dgrasp.hand.model import HandModel, load_hand
+from dgrasp.hand.load import load_hand
+from dgrasp.hand.model import HandModel
 from dgrasp.objects.free import free_object
 from dgrasp.scene.scene import LOWERED_TOP, TABLE_SIZE, TABLE_TOP, TABLE_XY, Scene
 from dgrasp.types import Array

@@ -8,7 +8,6 @@ import pytest
 from dgrasp.geometry.intersection import Body, body
 from dgrasp.hand.mano.skeleton import N_PARTS
 from dgrasp.hand.model import HandModel
-from dgrasp.hand.spheres import part_poses
 from dgrasp.types import Array
 from dgrasp.view.camera import eye, viewpoint
 from dgrasp.view.meshes import PART_FACES, Mesh, blendable, body_poses, hand_meshes, light, merged, table_tops
@@ -79,7 +78,7 @@ def test_every_part_of_the_free_hand_has_a_light_mesh_in_its_frame(hand: HandMod
 def test_body_poses_are_the_parts_and_the_object() -> None:
     record = episode()
     q, t = body_poses(meshes(), record)
-    R, places = part_poses(meshes(), record.T_WH, record.gc[:, 6:])
+    R, places = meshes().chain.part_frames(record.T_WH[:, :3, :3], record.T_WH[:, :3, 3], record.gc[:, 6:])
     assert t[:, :16] == pytest.approx(places) and t[:, 16] == pytest.approx(record.T_WO[:, :3, 3])
     assert matrix_from_quaternion(q[:, :16]) == pytest.approx(R, abs=1e-9)
     assert matrix_from_quaternion(q[:, 16]) == pytest.approx(record.T_WO[:, :3, :3], abs=1e-9)

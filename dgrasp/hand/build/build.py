@@ -20,9 +20,9 @@ from dgrasp.hand import store
 from dgrasp.hand.build.limits import mirror_limits, table_limits
 from dgrasp.hand.build.segment import segment
 from dgrasp.hand.build.urdf_writer import LinkPart, hand_urdf
+from dgrasp.hand.load import load_hand
 from dgrasp.hand.mano.model import MIRROR, ManoModel, mirror_mano
 from dgrasp.hand.mano.skeleton import DISTAL_PARTS, N_PARTS, PART_PARENT, PARTS
-from dgrasp.hand.model import load_hand
 from dgrasp.types import Array
 
 DENSITY = 1100.0
@@ -81,7 +81,7 @@ def build_hand(
         text = hand_urdf(provenance.name, comment, links, tips - joints[DISTAL_PARTS], massless=False)
         urdf.write_text(text, encoding="utf-8", newline="\n")
         identity = store.hand_id(provenance.name, urdf)
-        load_hand(urdf, identity)
+        load_hand(urdf, identity, model.side, mano=True)
         meta = _describe(identity, model, betas, shapes, provenance, parts, fits)
         (folder / store.META_FILE).write_text(json.dumps(meta, indent=1) + "\n", encoding="utf-8", newline="\n")
         os.chmod(folder, 0o755)

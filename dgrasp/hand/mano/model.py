@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 
 from dgrasp.errors import DataError
+from dgrasp.hand.layout import Side
 from dgrasp.hand.mano.skeleton import FINGERS, MANO_FINGERS, N_PARTS
 from dgrasp.types import Array
-
-Side = Literal["right", "left"]
 
 EXTENT = (0.08, 0.5)
 """m. The largest extent of a hand; outside it the numbers are taken for another unit."""

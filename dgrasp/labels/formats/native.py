@@ -1,10 +1,14 @@
 """The project's own label file: one compressed .npz of plain arrays and a JSON text, without pickles.
 
-Members (n labels; m, rad, world frame with z up; rotations as matrices; order of `hand.skeleton`):
-`meta` the JSON text; `object`, `source` (n,) indices into the tables of names in it; `index` (n,);
-`hand_pose` (n, 45); `T_WH`, `T_WO` (n, 4, 4); `joints_W` (n, 21, 3); `goal_contacts` (n, 16);
-`has_start`, `on_table` (n,); `start_T_WH`, `start_T_WO` (n, 4, 4) and `start_hand_pose` (n, 45), which are
-identity and zero where there is no start. Floats are float64, so that reading gives back what was written.
+Members (n labels of a hand with J finger joints, P parts and K key points; m, rad, world frame with z up; rotations as
+matrices):
+`meta` the JSON text, which names joints, parts and key points in the order of the arrays; `object`, `source` (n,)
+indices into the tables of names in it; `index` (n,); `hand_pose` (n, J); `T_WH`, `T_WO` (n, 4, 4); `joints_W`
+(n, K, 3); `goal_contacts` (n, P); `has_start`, `on_table` (n,); `start_T_WH`, `start_T_WO` (n, 4, 4) and
+`start_hand_pose` (n, J), which are identity and zero where there is no start. Floats are float64, so that reading gives
+back what was written.
+
+Files of schema 1 have no names: they are of hands with MANO's joints.
 """
 
 from __future__ import annotations
@@ -20,28 +24,42 @@ import numpy as np
 from dgrasp.errors import DataError
 from dgrasp.files.atomic import write_atomic
 from dgrasp.files.npz import open_npz
+from dgrasp.hand.layout import HandNames
+from dgrasp.hand.mano.layout import MANO_NAMES
 from dgrasp.labels.formats import checks
 from dgrasp.types import Array, GraspLabel, StartPose
 
 FORMAT = "dgrasp-labels"
-SCHEMA = 1
+SCHEMA = 2
 MAX_BYTES = 64 * 2**20
 """Largest size of all members together, unpacked; 376 labels have 0.9 MB."""
 
 _UNITS = {"length": "m", "angle": "rad", "frame": "world, z up", "euler": "intrinsic XYZ"}
-_MEMBERS: dict[str, tuple[type, tuple[int, ...]]] = {
-    "object": (np.int32, ()), "source": (np.int32, ()), "index": (np.int32, ()),
-    "hand_pose": (np.float64, (45,)), "T_WH": (np.float64, (4, 4)), "T_WO": (np.float64, (4, 4)),
-    "joints_W": (np.float64, (21, 3)), "goal_contacts": (np.bool_, (16,)),
-    "has_start": (np.bool_, ()), "on_table": (np.bool_, ()),
-    "start_T_WH": (np.float64, (4, 4)), "start_T_WO": (np.float64, (4, 4)), "start_hand_pose": (np.float64, (45,)),
-}
+_KINDS: dict[str, type] = {
+    "object": np.int32, "source": np.int32, "index": np.int32, "hand_pose": np.float64, "T_WH": np.float64,
+    "T_WO": np.float64, "joints_W": np.float64, "goal_contacts": np.bool_, "has_start": np.bool_,
+    "on_table": np.bool_, "start_T_WH": np.float64, "start_T_WO": np.float64, "start_hand_pose": np.float64,
+}  # fmt: skip
+_NAMED = ("joints", "parts", "keypoints")
+_MOST_NAMES = 1000
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.+-]{0,99}")
 Arrays = dict[str, Array]
 
 
-def write_native(path: Path, labels: list[GraspLabel], provenance: str | dict[str, Any], licence: str) -> None:
+def _shapes(names: HandNames) -> dict[str, tuple[int, ...]]:
+    """Of each member for one label, but `meta`."""
+    pose = (len(names.joints),)
+    shaped = {"hand_pose": pose, "start_hand_pose": pose, "joints_W": (len(names.keypoints), 3),
+              "goal_contacts": (len(names.parts),)}  # fmt: skip
+    return {name: shaped.get(name, (4, 4) if "T_W" in name else ()) for name in _KINDS}
+
+
+def write_native(
+    path: Path, labels: list[GraspLabel], provenance: str | dict[str, Any], licence: str, names: HandNames
+) -> None:
     """Write `labels`, all of one hand, with where they come from and under which licence they stand.
+
+    names: the hand's joints, parts and key points (`HandLayout.names`).
 
     The file is replaced in one step and its bytes depend on the content alone. Raises `DataError` for no
     labels, labels of several hands, and everything that `read_native` would refuse.
@@ -54,8 +72,9 @@ def write_native(path: Path, labels: list[GraspLabel], provenance: str | dict[st
     objects = list(dict.fromkeys(label.object_id for label in labels))
     sources = list(dict.fromkeys(label.source for label in labels))
     meta = {"format": FORMAT, "schema": SCHEMA, "units": _UNITS, "hand": hands[0], "licence": licence,
-            "provenance": provenance, "objects": objects, "sources": sources}
-    neutral = StartPose(np.eye(4), np.eye(4), np.zeros(45))
+            "provenance": provenance, "objects": objects, "sources": sources,
+            **{name: list(getattr(names, name)) for name in _NAMED}}
+    neutral = StartPose(np.eye(4), np.eye(4), np.zeros(len(names.joints)))
     starts = [label.start or neutral for label in labels]
     values: dict[str, list[Any]] = {
         "object": [objects.index(label.object_id) for label in labels],
@@ -66,7 +85,8 @@ def write_native(path: Path, labels: list[GraspLabel], provenance: str | dict[st
         "start_hand_pose": [start.hand_pose for start in starts],
     }
     arrays: Arrays = {}
-    for name, (dtype, shape) in _MEMBERS.items():
+    for name, shape in _shapes(names).items():
+        dtype = _KINDS[name]
         rows = values.get(name) or [getattr(label, name) for label in labels]
         wrong = next((i for i, row in enumerate(rows) if np.shape(row) != shape), None)
         if wrong is not None:
@@ -93,7 +113,7 @@ def read_native(path: Path) -> list[GraspLabel]:
 
 
 def read_native_with_meta(path: Path) -> tuple[list[GraspLabel], dict[str, Any]]:
-    """The labels and the file's description: hand, licence, provenance, units, tables of names."""
+    """The labels and the file's description: hand, licence, provenance, units, tables of names (`names_of`)."""
     path = Path(path)
     members = _unpack(path)
     meta = _meta(path, members.pop("meta"))
@@ -113,7 +133,7 @@ def read_native_with_meta(path: Path) -> tuple[list[GraspLabel], dict[str, Any]]
 
 def _unpack(path: Path) -> Arrays:
     """All members as arrays; sizes are known to be small and true before anything is unpacked."""
-    expected = {f"{name}.npy" for name in ("meta", *_MEMBERS)}
+    expected = {f"{name}.npy" for name in ("meta", *_KINDS)}
     with open_npz(path, "label file", MAX_BYTES) as archive:
         names = archive.names
         # The schema is read first: a newer file may well have other members.
@@ -124,7 +144,7 @@ def _unpack(path: Path) -> Arrays:
             raise DataError(f"{path}: lacks {', '.join(lacking) or 'nothing'}, has besides "
                             f"{', '.join(extra)[:200] or 'nothing'}; expected the members of a label file of "
                             f"schema {SCHEMA}; write it anew with `dgrasp labels`")
-        kinds = {"meta": "U", **{name: np.dtype(dtype).kind for name, (dtype, _) in _MEMBERS.items()}}
+        kinds = {"meta": "U", **{name: np.dtype(dtype).kind for name, dtype in _KINDS.items()}}
         return {name: archive.read(name, kind) for name, kind in kinds.items()}
 
 
@@ -142,8 +162,10 @@ def _meta(path: Path, text: Array) -> dict[str, Any]:
         raise DataError(f"{path}: no schema number; expected schema {SCHEMA}; write the file anew")
     if schema > SCHEMA:
         raise DataError(f"{path}: schema {schema} is newer than this program, which reads {SCHEMA}; update the program")
-    if schema < SCHEMA:
-        raise DataError(f"{path}: schema {schema} is older than {SCHEMA}, which is expected; write the file anew")
+    if schema < 1:
+        raise DataError(f"{path}: schema {schema}; expected 1 to {SCHEMA}; write the file anew")
+    if schema == 1:
+        meta |= {name: list(getattr(MANO_NAMES, name)) for name in _NAMED}
     if meta.get("units") != _UNITS:
         raise DataError(f"{path}: units other than {_UNITS}; convert the file")
     for key in ("hand", "licence"):
@@ -151,11 +173,20 @@ def _meta(path: Path, text: Array) -> dict[str, Any]:
             raise DataError(f"{path}: no {key} in its description; expected one line of text; write the file anew")
     if not isinstance(meta.get("provenance"), (str, dict)):
         raise DataError(f"{path}: no provenance in its description; expected a text or a dictionary")
-    for key in ("objects", "sources"):
+    for key in ("objects", "sources", *_NAMED):
         table = meta.get(key)
         if not isinstance(table, list) or not all(_is_line(name) for name in table):
             raise DataError(f"{path}: no table of {key} in its description; expected a list of names")
+    for key in _NAMED:
+        if not 1 <= len(meta[key]) <= _MOST_NAMES or len(set(meta[key])) < len(meta[key]):
+            raise DataError(f"{path}: {len(meta[key])} names of {key}, or one of them twice; expected each once, and 1 "
+                            f"to {_MOST_NAMES} of them")
     return meta
+
+
+def names_of(meta: dict[str, Any]) -> HandNames:
+    """The names of joints, parts and key points in a file's description."""
+    return HandNames(*(tuple(meta[key]) for key in _NAMED))
 
 
 def _is_line(value: Any) -> bool:
@@ -171,7 +202,8 @@ def _check(path: Path, meta: dict[str, Any], arrays: Arrays) -> None:
     n = len(arrays["object"]) if arrays["object"].ndim else 0
     if n == 0:
         raise DataError(f"{path}: no labels; expected at least one")
-    for name, (dtype, shape) in _MEMBERS.items():
+    for name, shape in _shapes(names_of(meta)).items():
+        dtype = _KINDS[name]
         if arrays[name].dtype != np.dtype(dtype) or arrays[name].shape != (n, *shape):
             raise DataError(f"{path}: {name} is {arrays[name].dtype} of shape {arrays[name].shape}; expected "
                             f"{np.dtype(dtype)} of shape {(n, *shape)}; write the file anew")

@@ -9,6 +9,7 @@ import numpy as np
 
 from dgrasp.errors import DataError
 from dgrasp.geometry.intersection import Body, join, near, overlap
+from dgrasp.hand.layout import N_WRIST
 from dgrasp.hand.model import HandModel
 from dgrasp.hand.spheres import CONTACT_DISTANCE
 from dgrasp.hand.surface import HandSurface
@@ -122,10 +123,8 @@ def _measure(
     label: GraspLabel, hand: HandModel, surface: HandSurface, target: Body, carrying: Carrying | None, same: str | None,
     standing: Array,
 ) -> Finding:
-    gc = np.zeros((1, 51))
-    gc[0, 6:] = label.hand_pose
-    joints = hand.forward(gc, label.T_WH[None, :3, :3], label.T_WH[None, :3, 3])[1][0]
-    limits = hand.limits[6:]
+    joints = hand.keypoints_at(label.T_WH[None], label.hand_pose[None])[0]
+    limits = hand.limits[N_WRIST:]
     excess = np.maximum(limits[:, 0] - label.hand_pose, label.hand_pose - limits[:, 1])
     penetration, distance = _contact(label, surface, target)
     rest = label.T_WO if label.start is None else label.start.T_WO
@@ -195,6 +194,6 @@ def duplicates(labels: Sequence[GraspLabel]) -> dict[int, str]:
 
 
 def _features(label: GraspLabel) -> Array:
-    """(57,): wrist in the object's frame and angles, in units of what is still the same."""
+    """(12 + J,): wrist in the object's frame and angles, in units of what is still the same."""
     T_OH = np.linalg.inv(label.T_WO) @ label.T_WH
     return np.concatenate([T_OH[:3, 3] / SAME_M, T_OH[:3, :3].ravel() / SAME_RAD, label.hand_pose / SAME_RAD])

@@ -11,7 +11,7 @@ from dgrasp.geometry.equilibrium import holds_weight
 from dgrasp.geometry.inside import inside_hull
 from dgrasp.geometry.intersection import Body
 from dgrasp.hand.model import HandModel
-from dgrasp.hand.spheres import HandSpheres, part_poses
+from dgrasp.hand.spheres import HandSpheres
 from dgrasp.types import Array, GraspLabel
 
 REACH = 0.010
@@ -33,7 +33,7 @@ class Carrying:
     def carries(self, label: GraspLabel) -> bool:
         """Whether forces where the hand is within `REACH` of the object, or inside, can balance its weight."""
         points, normals = self._surfaces[label.object_id]
-        R, t = part_poses(self._hand, label.T_WH[None], label.hand_pose[None])
+        R, t = self._hand.part_poses(label.T_WH[None], label.hand_pose[None])
         centers_O, cores_O = (
             (places[0] - label.T_WO[:3, 3]) @ label.T_WO[:3, :3]
             for places in (self._spheres.place(R, t), self._cores.place(R, t))
@@ -76,7 +76,7 @@ def _cores(spheres: HandSpheres) -> HandSpheres:
         own = (spheres.parts == part) & (spheres.radii == 0.0)
         if own.any():
             centers[own] = centers[own].mean(axis=0)
-    return HandSpheres(centers, spheres.radii, spheres.parts)
+    return HandSpheres(centers, spheres.radii, spheres.parts, spheres.n_parts)
 
 
 def _gaps(points: Array, centers: Array, radii: Array) -> tuple[Array, Array]:

@@ -14,6 +14,7 @@ from rich.progress import track
 
 from dgrasp.errors import DataError
 from dgrasp.hand.mano.file import read_mano
+from dgrasp.hand.mano.layout import MANO_NAMES
 from dgrasp.hand.mano.model import ManoModel
 from dgrasp.labels.formats.native import write_native
 from dgrasp.labels.recorded.making import LabelMaker, target_hand
@@ -69,7 +70,7 @@ def finish(
     reasons = {place[:200]: reason for place, (reason, _) in list(skipped.items())[:MAX_REASONS]}
     write_native(arguments.out, labels, {
         **provenance, "mano_file": arguments.mano.name, "mano_sha256": sha256_of(arguments.mano), "skipped": reasons,
-    }, licence)  # fmt: skip
+    }, licence, MANO_NAMES)  # fmt: skip
     counts = Counter(label.object_id for label in labels)
     print(f"wrote {arguments.out}: {len(labels)} labels of {len(counts)} objects for the hand {labels[0].hand}; "
           f"licence: {licence}")

@@ -40,9 +40,7 @@ class LabelMaker:
         source: str, on_table: bool,
     ) -> GraspLabel:
         """A label with the key points of the physics hand and index 0; see `numbered`."""
-        gc = np.zeros((1, 51))
-        gc[0, 6:] = hand_pose
-        joints = self.hand.forward(gc, T_WH[None, :3, :3], T_WH[None, :3, 3])[1][0]
+        joints = self.hand.keypoints_at(T_WH[None], hand_pose[None])[0]
         return GraspLabel(name, hand_pose, T_WH, T_WO, joints, contacts, start, self.hand.id, source, 0, on_table)
 
 
