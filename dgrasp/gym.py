@@ -66,7 +66,7 @@ class GraspGymEnv(gymnasium.Env[Array, Array]):
     cfg: a `Config`, a YAML file, or None for the defaults; overrides: laid over it, such as
     ["labels.objects=[004_sugar_box]"].
     label: index into the chosen labels. Observations are the feature layer's (float32), actions the residual
-    (51,), of task motion (6,), dimensionless. `info["reward_terms"]` holds the weighted terms by name.
+    (D,), of task motion (6,), dimensionless. `info["reward_terms"]` holds the weighted terms by name.
     """
 
     metadata = {"render_modes": ["rgb_array"], "render_fps": 35}  # noqa: RUF012

@@ -3,6 +3,9 @@
 `T_AB` maps points of frame B into frame A. Frames: W world (z up), O object, H wrist, H0 the wrist at the
 start of the episode, G the object at its target. Quaternions are w, x, y, z. Angles are intrinsic XYZ Euler
 angles in radians.
+
+Sizes of a hand (`dgrasp.hand.layout`): D generalised coordinates, the first six the wrist's; J finger joints; P parts
+that can touch; K key points.
 """
 
 from __future__ import annotations
@@ -19,7 +22,7 @@ Array = NDArray[Any]
 class StartPose:
     """Where hand and object are when the approach begins.
 
-    T_WH, T_WO: (4, 4). hand_pose: (45,) rad.
+    T_WH, T_WO: (4, 4). hand_pose: (J,) rad.
     """
 
     T_WH: Array
@@ -32,10 +35,10 @@ class GraspLabel:
     """One static grasp, as a data source gives it (paper, section 3.1).
 
     object_id: catalogue name, such as "004_sugar_box".
-    hand_pose: (45,) finger joint angles, rad, order of `skeleton.DOF_NAMES[6:]`.
+    hand_pose: (J,) finger joint angles, rad.
     T_WH, T_WO: (4, 4) wrist and object in the world at the grasp.
-    joints_W: (21, 3) key points in the world, m, order of `skeleton.KEYPOINTS`.
-    goal_contacts: (16,) bool, which parts should touch the object, order of `skeleton.PARTS`.
+    joints_W: (K, 3) key points in the world, m; the first is the wrist.
+    goal_contacts: (P,) bool, which parts should touch the object.
     start: the start of the approach; None where the source has only the static grasp, and then the
         scene makes one.
     hand: id of the hand that it was made for ("mano_mean", "free"); another hand refuses it.
@@ -66,7 +69,7 @@ class GraspLabel:
 class GraspGoal:
     """The goals of N environments in their objects' frames (supplement, section A.1).
 
-    joints_O: (N, 21, 3). R_OH: (N, 3, 3). hand_pose: (N, 45). goal_contacts: (N, 16) float, 0 or 1.
+    joints_O: (N, K, 3). R_OH: (N, 3, 3). hand_pose: (N, J). goal_contacts: (N, P) float, 0 or 1.
     wrist_euler_O: (N, 3), Euler angles of R_OH.
     """
 
@@ -81,12 +84,12 @@ class GraspGoal:
 class SceneState:
     """What the physics says about N environments after a control step.
 
-    gc, gv: (N, 51) generalised coordinates and velocities; the first six are relative to the initial
+    gc, gv: (N, D) generalised coordinates and velocities; the first six are relative to the initial
         wrist frame H0 (m, rad as Euler angles; m/s, rad/s as their rates).
     R_WH0 (N, 3, 3), wrist_start_W (N, 3): the initial wrist frame.
-    R_WH (N, 3, 3), joints_W (N, 21, 3): wrist rotation and key points; joints_W[:, 0] is the wrist.
+    R_WH (N, 3, 3), joints_W (N, K, 3): wrist rotation and key points; joints_W[:, 0] is the wrist.
     R_WO (N, 3, 3), object_pos_W (N, 3), object_linvel_W, object_angvel_W (N, 3).
-    contacts (N, 16) float 0 or 1; contact_impulse (N, 16), N s per substep, hand parts against the object.
+    contacts (N, P) float 0 or 1; contact_impulse (N, P), N s per substep, hand parts against the object.
     object_start_W (N, 3): where the object was at the start. table_height_W (N,).
     object_mass (N,) kg. table_contact (N,) bool: the object touches the table.
     table_gone (N,): 1 once the table was taken away. holding (N,): 1 while it is gone and the object has not

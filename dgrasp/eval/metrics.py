@@ -78,7 +78,7 @@ def contact_ratio(record: EpisodeRecord) -> float | None:
 
 
 def grasp_pose(record: EpisodeRecord) -> tuple[Array, Array, Array] | None:
-    """T_WH (4, 4), finger angles (45,) and T_WO (4, 4) of the finished grasp; None if the episode ended before it.
+    """T_WH (4, 4), finger angles (J,) and T_WO (4, 4) of the finished grasp; None if the episode ended before it.
 
     It is the last step of the grasping phase. A baseline that starts in the label's pose has no such phase: its grasp
     is the label, before any physics, as in the paper.
@@ -93,7 +93,7 @@ def grasp_pose(record: EpisodeRecord) -> tuple[Array, Array, Array] | None:
 
 
 def label_distance_mm(record: EpisodeRecord) -> float | None:
-    """How far the finished grasp is from the label's: mean distance of the 21 key points in the object's frame, mm.
+    """How far the finished grasp is from the label's: mean distance of the key points in the object's frame, mm.
 
     None for a baseline that starts in the label's pose, and where the episode ended before its grasp was finished.
     """
@@ -107,7 +107,7 @@ def label_distance_mm(record: EpisodeRecord) -> float | None:
 
 
 def label_angles_deg(record: EpisodeRecord) -> float | None:
-    """Mean absolute difference of the finished grasp's 45 finger angles to the label's, degrees; None as above."""
+    """Mean absolute difference of the finished grasp's finger angles to the label's, degrees; None as above."""
     step = record.window_start - 1
     if not 0 <= step < len(record.gc):
         return None
