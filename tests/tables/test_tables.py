@@ -21,7 +21,7 @@ from dgrasp.tables.fill import Cells, Found, fill
 from dgrasp.tables.plan import NAMES, Line, Plan, plans
 from dgrasp.tables.show import cells_of, header_of, remarks
 from dgrasp.tables.trainings import Trainings, needed
-from tests.cli.folder import make_folder
+from tests.commands.folder import make_folder
 
 SHORT = ["env.episode_steps=6", "env.grasp_steps=3", "physics.substeps=1", "ppo.minibatches=1", "ppo.update_epochs=1",
          "eval.window_s=0.06", "eval.gif=false", "eval.interpenetration=false", "ppo.hidden=[8]", "ppo.epochs=1",

@@ -24,7 +24,7 @@ from dgrasp.errors import ConfigError, DataError
 from dgrasp.files.paths import shipped_root
 from dgrasp.rl.ppo import Ppo
 from dgrasp.rl.run import checkpoint
-from tests.cli.folder import make_folder
+from tests.commands.folder import make_folder
 
 SHORT = [
     "env.episode_steps=6", "env.grasp_steps=3", "eval.window_s=0.1", "eval.every=2", "checkpoint.every=1",
