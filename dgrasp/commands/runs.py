@@ -64,15 +64,9 @@ class Run:
         if (ppo.epochs, ppo.max_steps) == (log.get("epochs"), log.get("max_steps")):
             return int(log["last_epoch"])
         envs = log.get("environments", self.data.get("n_labels"))
-        if ppo.max_steps is None or not self.rows or not isinstance(envs, int):
+        if not self.rows or not isinstance(envs, int):
             return ppo.epochs
-        last, steps = int(self.number("epoch")), int(self.number("control_steps"))
-        while last < ppo.epochs:
-            steps += self.config.learned_steps(last + 1) * self.config.labels.in_epoch(last + 1, envs)
-            if steps > ppo.max_steps:
-                break
-            last += 1
-        return max(1, last)
+        return self.config.last_epoch(envs, int(self.number("epoch")), int(self.number("control_steps")))
 
     @property
     def curve(self) -> list[tuple[int, float]]:

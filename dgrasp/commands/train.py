@@ -170,7 +170,7 @@ def periodic_evaluation(pool: Pool, spec: PoolSpec, stamp: dict[str, Any]) -> Ca
     def run(policy: Policy) -> dict[str, Any]:
         nonlocal count
         config = spec.config
-        records, cost = evaluate(pool, PolicyMethod(policy), config, config.eval.window_s)
+        records, cost = evaluate(pool, PolicyMethod(policy), config)
         result = summarise(
             records, method="policy", engine=config.engine, window_s=config.eval.window_s, seed=config.seed,
             data=stamp, cost=cost,

@@ -224,9 +224,9 @@ class GraspEnv:
             self.worlds.release(i, self.control.kp_position)
 
     def begin_motion(self, path: Array, fingers: Fingers = "policy") -> None:
-        """Motion synthesis begins: the wrist carries the objects along targets T_WG (N, P, 4, 4).
+        """Motion synthesis begins: the wrist carries the objects along the path (N, P, 4, 4) of their T_WG.
 
-        Target k is that of control step k from now, the last one stays. The table stays as it is. fingers: "policy"
+        Pose k is the target of control step k from now; the last one stays. The table stays as it is. fingers: "policy"
         moves them; "target" keeps their PD targets, "pose" makes where they are their targets.
         """
         self._path, self._path_step = path, 0

@@ -147,7 +147,7 @@ def stable_grasps(
 def move(
     pool: Pool, method: Method, config: Config, path: Array, steps: int, progress: Progress | None = None
 ) -> tuple[list[EpisodeRecord], Cost]:
-    """One episode per label: the grasp, then `steps` control steps along the targets path (N, P, 4, 4).
+    """One episode per label: the grasp, then `steps` control steps along the path (N, P, 4, 4) of T_WG.
 
     Flat-RL knows no phases: it has as many steps in all, and the first target from the first of them.
     """

@@ -103,7 +103,7 @@ class Pool(VecEnv, Protocol):
         """Begin the stability test in all environments."""
 
     def begin_motion(self, path: Array, fingers: Fingers = "policy") -> None:
-        """Begin the motion along targets (N, P, 4, 4) in all environments (see `GraspEnv.begin_motion`).
+        """Begin the motion along the targets' path (N, P, 4, 4) in all environments (see `GraspEnv.begin_motion`).
 
         The observations of the last step then show the first targets.
         """
