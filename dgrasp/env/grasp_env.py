@@ -19,6 +19,7 @@ from dgrasp.env.training_hold import TrainingHold
 from dgrasp.hand.mano.skeleton import ACTION_SIZES, N_DOF
 from dgrasp.hand.model import HandModel
 from dgrasp.objects.model import ObjectModel
+from dgrasp.rl.collect import Actor
 from dgrasp.scene.relations import Relations, relations
 from dgrasp.scene.scene import LOWERED_TOP, TABLE_TOP, Scene
 from dgrasp.scene.state import StepArrays, state_views, take
@@ -46,6 +47,7 @@ class GraspEnv:
 
     `indices` are the places of the labels in the whole set: they seed the environments, so that an
     environment's noise does not depend on how the set is divided over processes. `total` is the size of that set.
+    `grasp` is the frozen grasping policy of a task that has one.
     """
 
     labels: Sequence[GraspLabel]
@@ -56,6 +58,7 @@ class GraspEnv:
     total: int = 0
     make_scene: Callable[..., Scene] = Scene
     events: list[str] = field(default_factory=list)
+    grasp: Actor | None = None
 
     def __post_init__(self) -> None:
         n = len(self.labels)

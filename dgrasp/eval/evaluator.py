@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from dgrasp.config.experiment import Config
-from dgrasp.methods.policy import Method
+from dgrasp.methods.method import Method
 from dgrasp.pool import Pool, PoolSpec, WorkerLost, make_pool
 from dgrasp.types import Array, EpisodeRecord
 from raisim_like.rotations import transform

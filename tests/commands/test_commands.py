@@ -17,13 +17,13 @@ import torch
 
 from dgrasp.cli import main, run_command
 from dgrasp.commands.test import write_gif
-from dgrasp.commands.train import _gif, next_run, start_run
 from dgrasp.config.experiment import load_config, make_config
 from dgrasp.data import resolve
 from dgrasp.errors import ConfigError, DataError
 from dgrasp.files.paths import shipped_root
 from dgrasp.rl.ppo import Ppo
 from dgrasp.rl.run import checkpoint
+from dgrasp.training import _gif, next_run, start_run
 from tests.commands.folder import make_folder
 
 SHORT = [

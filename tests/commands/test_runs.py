@@ -14,10 +14,10 @@ import pytest
 import torch
 
 from dgrasp.cli import main, run_command
-from dgrasp.commands.runs import read_run
 from dgrasp.files.paths import shipped_root
 from dgrasp.rl.run import checkpoint
 from dgrasp.rl.run.lock import is_running, only_run
+from dgrasp.rl.run.record import read_run
 from tests.commands.folder import make_folder
 
 SHORT = ["env.episode_steps=6", "env.grasp_steps=3", "physics.substeps=1", "ppo.minibatches=1", "ppo.update_epochs=1",

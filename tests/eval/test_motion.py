@@ -9,11 +9,11 @@ import pytest
 
 from dgrasp.errors import ConfigError, DataError
 from dgrasp.eval import motion as experiment
-from dgrasp.eval.motion import ON_FLOOR, check_method, motion_row, run_motions, until_floor
+from dgrasp.eval.motion import ON_FLOOR, check_moves, motion_row, run_motions, until_floor
 from dgrasp.eval.output import table_cells, title
 from dgrasp.eval.paper import MOTION_OBJECTS, motion_column
 from dgrasp.eval.summary import summarise
-from dgrasp.methods import BASELINES, PdBaseline
+from dgrasp.methods import METHODS, PdBaseline
 from dgrasp.methods.static_grasp import StaticGrasp
 from dgrasp.motion.targets import TargetSet
 from dgrasp.types import EpisodeRecord
@@ -140,7 +140,7 @@ def test_beside_the_papers_numbers() -> None:
 
 
 def test_what_can_move_objects() -> None:
-    assert isinstance(BASELINES["static_grasp"](), StaticGrasp)
-    check_method(StaticGrasp())
+    assert METHODS["static_grasp"] is StaticGrasp
+    check_moves(StaticGrasp())
     with pytest.raises(ConfigError, match="gt_pd holds a pose"):
-        check_method(PdBaseline())
+        check_moves(PdBaseline())
