@@ -27,8 +27,8 @@ def evaluate_choice(
     """Evaluate a method on the chosen labels."""
     spec = build_spec(choice, config)
     bodies = build_bodies(choice, spec.objects)
-    spec = method.prepare(spec, lambda: _surfaces(bodies))
     measure = build_interpenetration(choice, config, spec.hand, bodies) if config.eval.interpenetration else None
+    spec = method.prepare(spec, lambda: _surfaces(bodies))
     records, cost, events = evaluate_labels(spec, method, _Progress())
     for event in events:
         print(f"warning: {event}", file=sys.stderr)
