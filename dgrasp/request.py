@@ -58,7 +58,7 @@ class Asked:
     @property
     def shipped(self) -> bool:
         """Whether the policy that ships is asked for."""
-        return str(self.run) == PRETRAINED and self.run is not None and not self.run.exists()
+        return self.run is not None and str(self.run) == PRETRAINED and not self.run.exists()
 
     @property
     def run_dir(self) -> Path | None:

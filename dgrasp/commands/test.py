@@ -56,9 +56,9 @@ BESIDE_JSON = {".csv": output.write_csv, ".md": output.write_markdown, ".tex": w
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The options of `test`."""
-    parser.add_argument("--baseline", choices=BASELINES, help="a baseline of the "
-                        "paper; static_grasp takes its grasps from --run or --policy, else from the labels by PD; "
-                        "flat_rl and learned_motion are runs of their own")
+    parser.add_argument("--baseline", choices=BASELINES, help="a baseline of the paper; static_grasp takes its grasps "
+                        "from --run or --policy, else from the labels by PD; flat_rl and learned_motion are runs of "
+                        "their own")
     what = parser.add_mutually_exclusive_group()
     what.add_argument("--run", type=Path, metavar="DIR|pretrained", help="the last checkpoint of a training run, or "
                       "the policy that ships")
