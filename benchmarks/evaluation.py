@@ -43,7 +43,7 @@ def main() -> None:
     worlds.integrate = clock  # type: ignore[assignment]
     pool = make_pool(build_spec(choice, config))
     try:
-        _, cost = evaluate(pool, PdBaseline(), config, config.eval.window_s)
+        _, cost = evaluate(pool, PdBaseline(), config)
     finally:
         pool.close()
     engine, physics = cost["physics_share"], clock.seconds / cost["wall_s"]

@@ -20,7 +20,8 @@ from dgrasp.build import build_spec
 from dgrasp.config.experiment import load_config
 from dgrasp.data import resolve
 from dgrasp.env.grasp_env import GraspEnv
-from dgrasp.methods.policy import Method, PolicyMethod
+from dgrasp.methods.method import Method
+from dgrasp.methods.policy import PolicyMethod
 from dgrasp.pool.base import PoolSpec
 from dgrasp.rl.run.published import load_published_actor
 from dgrasp.types import Array

@@ -9,7 +9,8 @@ from dgrasp.data import DataChoice
 from dgrasp.errors import ConfigError, DataError
 from dgrasp.hand.layout import HandLayout
 from dgrasp.hand.model import HandModel
-from dgrasp.methods.learned_motion import grasping_policy
+from dgrasp.methods import TRAINED
+from dgrasp.methods.frozen import grasping_policy
 from dgrasp.objects.free import free_object
 from dgrasp.objects.model import ObjectModel
 from dgrasp.objects.release import Concave, release_object
@@ -66,9 +67,7 @@ def build_spec(choice: DataChoice, config: Config) -> PoolSpec:
 
 def frozen_policy(config: Config, hand: HandLayout | None = None) -> Actor | None:
     """The policy of `motion.policy`, where the task needs one: to grasp with, or to say which grasps are stable."""
-    task = config.env.task
-    needed = task == "motion" or (task == "flat" and config.motion.stable_alone)
-    return grasping_policy(config, hand).arrays() if needed else None
+    return grasping_policy(config, hand).arrays() if TRAINED[config.env.task].needs_grasp(config.motion) else None
 
 
 def build_pool(choice: DataChoice, config: Config) -> Pool:

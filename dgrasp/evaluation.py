@@ -4,17 +4,18 @@ from __future__ import annotations
 
 import sys
 import time
-from dataclasses import replace
+from collections.abc import Mapping
 
 from dgrasp.build import build_spec
 from dgrasp.config.experiment import Config
 from dgrasp.data import DataChoice
 from dgrasp.eval.evaluator import evaluate_labels
 from dgrasp.eval.meshes import build_bodies, build_interpenetration
-from dgrasp.eval.motion import check_method, choose_targets, motion_result, run_motions
+from dgrasp.eval.motion import check_moves, choose_targets, motion_result, run_motions
 from dgrasp.eval.summary import Result, label_row, summarise
-from dgrasp.methods.ik import IkBaseline
-from dgrasp.methods.policy import Method
+from dgrasp.geometry.intersection import Body
+from dgrasp.methods.method import Method
+from dgrasp.objects.body import ObjectBody
 from dgrasp.pool import PoolSpec
 from dgrasp.rl.run.progress import format_duration
 from dgrasp.types import EpisodeRecord
@@ -27,12 +28,7 @@ def evaluate_choice(
     spec = build_spec(choice, config)
     bodies = build_bodies(choice, spec.objects)
     measure = build_interpenetration(choice, config, spec.hand, bodies) if config.eval.interpenetration else None
-    if isinstance(method, IkBaseline):
-        started = time.perf_counter()
-        labels = method.correct(spec.labels, spec.hand, {name: entry.body for name, entry in bodies.items()})
-        took = time.perf_counter() - started
-        print(f"{method.name}: {len(labels)} labels corrected in {took:.1f} s", file=sys.stderr)
-        spec = replace(spec, labels=labels)
+    spec = method.prepare(spec, lambda: _surfaces(bodies))
     records, cost, events = evaluate_labels(spec, method, _Progress())
     for event in events:
         print(f"warning: {event}", file=sys.stderr)
@@ -49,13 +45,18 @@ def evaluate_motion(
     method: Method, config: Config, choice: DataChoice
 ) -> tuple[Result, list[EpisodeRecord], PoolSpec]:
     """Let a method carry the chosen labels' objects to the targets of `motion.targets`."""
-    check_method(method)
+    check_moves(method)
     targets = choose_targets(config, choice)
-    spec = build_spec(choice, config)
+    chosen = build_spec(choice, config)
+    spec = method.prepare(chosen, lambda: _surfaces(build_bodies(choice, chosen.objects)))
     motions = run_motions(spec, method, targets, _Progress())
     for event in motions.events:
         print(f"warning: {event}", file=sys.stderr)
     return motion_result(motions, method, config, choice, targets, spec.labels), motions.records, spec
+
+
+def _surfaces(bodies: Mapping[str, ObjectBody]) -> dict[str, Body]:
+    return {name: entry.body for name, entry in bodies.items()}
 
 
 class _Progress:

@@ -129,8 +129,8 @@ class EpisodeRecord:
     control step. window_start: index of the first step after the grasp, with which the table was taken away or, in
     `table_stays`, the object began to be moved; 0 where an episode begins without a table.
     dt: control period in s. terminated: why the episode ended early ("" if it did not).
-    reward: (T,). target_T_WO: where the object should be, (4, 4) for a pose or (T, 4, 4) for a path, in episodes that
-    move it.
+    reward: (T,). T_WG: (T, 4, 4) where the object should be after each control step, in episodes that move it; else
+    None. Raises `ValueError` for a T_WG of another shape.
     """
 
     label: GraspLabel
@@ -145,9 +145,14 @@ class EpisodeRecord:
     window_start: int
     dt: float
     terminated: str = ""
-    target_T_WO: Array | None = None
+    T_WG: Array | None = None
+
+    def __post_init__(self) -> None:
+        expected = (len(self.T_WO), 4, 4)
+        if self.T_WG is not None and self.T_WG.shape != expected:
+            raise ValueError(f"{self.label.name}: T_WG has shape {self.T_WG.shape}; expected {expected}")
 
     @property
     def table_stays(self) -> bool:
         """Whether the table was never taken away: a motion that began with a grasp keeps it."""
-        return self.target_T_WO is not None and self.window_start > 0
+        return self.T_WG is not None and self.window_start > 0

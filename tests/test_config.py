@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from dgrasp.config.experiment import Config, config_keys, dump_config, load_config, make_config
+from dgrasp.config.experiment import Config, config_keys, control_steps, dump_config, load_config, make_config
 from dgrasp.config.sections import LabelsConfig
 from dgrasp.config.values import apply_overrides, flat_keys, parse_yaml
 from dgrasp.errors import ConfigError
@@ -124,3 +124,29 @@ def test_episodes_lengthen_when_the_epochs_grow() -> None:
     # However long the training is.
     assert config.episode_steps(10**9) == config.episode_steps(1000) == 100 + 10 * 45
     assert Config.model_validate({"env": {"lengthens_by": 45}}).episode_steps(1000) == Config().episode_steps(1)
+
+
+def test_the_last_epoch_is_the_last_that_the_limits_allow() -> None:
+    config = Config.model_validate({
+        "ppo": {"epochs": 9, "max_steps": 1799}, "labels": {"per_epoch": 2, "doubles_every": 3},
+        "env": {"episode_steps": 100},
+    })  # fmt: skip
+    # Of 9 labels 2 take part in epochs 1 to 3, 4 in epochs 4 to 6: 200, 400, 600; 1000, 1400, 1800.
+    assert [config.steps_in(epoch, 9) for epoch in (1, 3, 4, 7)] == [200, 200, 400, 800]
+    assert config.last_epoch(9) == 5
+    # A run that lost steps has some left; one that is past a limit has none.
+    assert config.last_epoch(9, epoch=5, steps=1399) == 6 and config.last_epoch(9, epoch=5, steps=1400) == 5
+    assert config.last_epoch(9, epoch=8, steps=4000) == 8 and config.last_epoch(9, epoch=12, steps=0) == 9
+    endless = config.model_copy(update={"ppo": config.ppo.model_copy(update={"max_steps": None})})
+    assert endless.last_epoch(9) == endless.last_epoch(9, epoch=3, steps=10**9) == 9
+    short = config.model_copy(update={"ppo": config.ppo.model_copy(update={"max_steps": 1})})
+    assert short.last_epoch(9) == 1
+
+
+def test_the_window_is_a_whole_number_of_control_steps() -> None:
+    assert Config().control_period == pytest.approx(0.02886)
+    # 5 s are 173.25 control steps, 3.87 s 134.1.
+    assert Config().window_steps == 173
+    assert Config.model_validate({"eval": {"window_s": 3.87}}).window_steps == 134
+    assert Config.model_validate({"eval": {"window_s": 0.001}}).window_steps == 1
+    assert control_steps(0.001, 0.02886) == 0 and control_steps(0.1, 0.02886) == 3

@@ -12,9 +12,7 @@ import torch
 from rich.console import Console
 from rich.table import Table
 
-from dgrasp.commands.runs import read_run
 from dgrasp.commands.test import write_gif
-from dgrasp.commands.train import next_run, start_run, train
 from dgrasp.config.experiment import Config, load_config, make_config
 from dgrasp.config.values import apply_overrides
 from dgrasp.data import resolve
@@ -26,10 +24,13 @@ from dgrasp.evaluation import evaluate_choice, evaluate_motion
 from dgrasp.export.collect import display_meshes
 from dgrasp.files.paths import data_root, package_file
 from dgrasp.methods import PdBaseline
-from dgrasp.methods.policy import Method, PolicyMethod
+from dgrasp.methods.method import Method
+from dgrasp.methods.policy import PolicyMethod
 from dgrasp.report.page import write_report
 from dgrasp.request import PRETRAINED_FILE
 from dgrasp.rl.run.policies import SavedPolicy, read_policy
+from dgrasp.rl.run.record import read_run
+from dgrasp.training import next_run, start_run, train
 
 HELP = """\
 Test PD control, and the policy where one ships with this version, on labels that it has not seen, let the policy carry

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import argparse
-import json
 import time
 from pathlib import Path
 
+from dgrasp.config.values import override
 from dgrasp.errors import ConfigError, DataError
 from dgrasp.tables.fill import Tables, fill
 from dgrasp.tables.plan import plans
@@ -27,7 +27,7 @@ def main(arguments: argparse.Namespace) -> int:
                           "policy of all objects; the key labels.objects=[NAME, ...] narrows rows that name no objects "
                           "of their own), or leave --table away for one evaluation")
     given = {"data": arguments.data, "engine": arguments.engine, "eval.window_s": arguments.window}
-    overrides = [f"{key}={json.dumps(value)}" for key, value in given.items() if value is not None]
+    overrides = [override(key, value) for key, value in given.items() if value is not None]
     overrides += arguments.overrides
     root, budget = arguments.runs or RUNS, arguments.budget
     each = [[*overrides, f"seed={seed}"] for seed in dict.fromkeys(arguments.seeds)] or [overrides]

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
+import math
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -10,26 +13,24 @@ from typing import Any
 import torch
 
 from dgrasp.commands.tables import main as fill_tables
-from dgrasp.data import resolve
 from dgrasp.errors import ConfigError, DataError
 from dgrasp.eval import failures, output
 from dgrasp.eval.agreement import find_agreement
 from dgrasp.eval.latex import write_latex
-from dgrasp.eval.motion import usual_set
 from dgrasp.evaluation import evaluate_choice, evaluate_motion
 from dgrasp.export.collect import display_meshes, sequences
 from dgrasp.export.film import record_pictures
 from dgrasp.export.sequence import check_folder, write_folder
 from dgrasp.files.outputs import check_outputs
-from dgrasp.methods.static_grasp import StaticGrasp
+from dgrasp.methods import BASELINES
 from dgrasp.report.page import write_report
-from dgrasp.request import add_arguments, check_task, config_of, method_for
+from dgrasp.request import Asked, make_request
 from dgrasp.rl.run import checkpoint
+from dgrasp.tables.plan import NAMES
 from dgrasp.types import EpisodeRecord
 from dgrasp.view.frames import gif_bytes, tile
 from dgrasp.view.meshes import DisplayMeshes
-
-__all__ = ["HELP", "add_arguments", "main", "write_gif"]
+from raisim_like.engines import ENGINES
 
 HELP = """\
 Evaluate grasps: the policy (or baseline) grasps, the table is taken away, and the object must not fall
@@ -53,6 +54,57 @@ BESIDE_JSON = {".csv": output.write_csv, ".md": output.write_markdown, ".tex": w
 """The tables that are written beside the file of --json, by suffix."""
 
 
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The options of `test`."""
+    parser.add_argument("--baseline", choices=BASELINES, help="a baseline of the paper; static_grasp takes its grasps "
+                        "from --run or --policy, else from the labels by PD; flat_rl and learned_motion are runs of "
+                        "their own")
+    what = parser.add_mutually_exclusive_group()
+    what.add_argument("--run", type=Path, metavar="DIR|pretrained", help="the last checkpoint of a training run, or "
+                      "the policy that ships")
+    what.add_argument("--policy", type=Path, metavar="FILE", help="a checkpoint, ours or one of the authors'; or "
+                      "weights of `dgrasp publish`")
+    parser.add_argument("--table", choices=(*NAMES, "all"), help="a table of the paper: evaluate what is there, say "
+                        "how to train the rest")
+    parser.add_argument("--budget", type=_minutes, metavar="MINUTES",
+                        help="with --table: train what is missing, so long")
+    parser.add_argument("--seeds", type=_numbers, default=[], metavar="K,K,...",
+                        help="with --table: policies of these seeds, averaged (default: the config's one)")
+    parser.add_argument("--runs", type=Path, metavar="DIR",
+                        help="with --table: where its runs and results are (default: runs/tables)")
+    parser.add_argument("--motion", metavar="easy|near|ood|circle|pour|FILE",
+                        help="move the object to targets: the authors', own ones, a path, or a file of poses")
+    parser.add_argument("--cfg", type=Path, metavar="FILE", help="experiment (default: the run's, the policy's, or "
+                        "cfg/dexycb.yaml)")
+    parser.add_argument("--data", metavar="free|DIR", help="the free set, or a folder like the authors' release")
+    parser.add_argument("--split", choices=("train", "test"), help="which labels (default: train)")
+    parser.add_argument("--labels", metavar="SOURCE|FILE", help="dexycb, grasptta, contactopt, or a label file")
+    parser.add_argument("--objects", nargs="+", metavar="NAME", help="only these objects, such as 004_sugar_box")
+    parser.add_argument("--engine", choices=ENGINES, help="physics engine")
+    parser.add_argument("--window", type=float, metavar="SECONDS",
+                        help="stability window (default: 5; the authors: 3.87)")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write JSON, and CSV, markdown, LaTeX beside it")
+    parser.add_argument("--report", type=Path, metavar="FILE", help="write one HTML page: table, charts, replays in 3D")
+    parser.add_argument("--records", type=Path, metavar="DIR", help="store every sequence in a new folder, for `dgrasp "
+                        "export`")
+    parser.add_argument("--gif", type=Path, metavar="FILE", help="write a GIF of some of the grasps")
+    parser.add_argument("overrides", nargs="*", metavar="key=value", help="config keys, such as seed=3 pool.workers=2")
+
+
+def _numbers(text: str) -> list[int]:
+    if not re.fullmatch(r"\d+(,\d+)*", text):
+        raise argparse.ArgumentTypeError(f"{text!r}: expected seeds, whole numbers with commas between, such as 1,2,3")
+    return [int(word) for word in text.split(",")]
+
+
+def _minutes(text: str) -> float:
+    with contextlib.suppress(ValueError):
+        minutes = float(text)
+        if math.isfinite(minutes) and minutes > 0.0:
+            return minutes
+    raise argparse.ArgumentTypeError(f"{text!r}: expected minutes, more than 0")
+
+
 def main(arguments: argparse.Namespace) -> int:
     """Run the evaluation that the command line describes; returns the exit code."""
     torch.set_num_threads(1)
@@ -69,15 +121,11 @@ def main(arguments: argparse.Namespace) -> int:
     _check_outputs(arguments)
     if arguments.records is not None:
         check_folder(arguments.records)
-    method = method_for(arguments)
-    config = config_of(arguments)
-    check_task(method, config)
-    choice = resolve(config)
-    if (isinstance(method, StaticGrasp) or config.env.task != "grasp") and config.motion.targets is None:
-        config = config.model_copy(update={"motion": config.motion.model_copy(update={"targets": usual_set(choice)})})
+    request = make_request(asked_by(arguments))
+    config, choice = request.config, request.choice
     print(choice.describe(), flush=True)
     evaluation = evaluate_choice if config.motion.targets is None else evaluate_motion
-    result, records, spec = evaluation(method, config, choice)
+    result, records, spec = evaluation(request.method, config, choice)
     extra: dict[str, Any] = {}
     lines: list[str] = []
     if arguments.policy is not None and result.motion is None:
@@ -105,6 +153,27 @@ def main(arguments: argparse.Namespace) -> int:
         output.print_table(result)
         print("\n".join(lines), end="\n" if lines else "")
     return 0
+
+
+def asked_by(arguments: argparse.Namespace) -> Asked:
+    """What the options ask for; what is typed as key=value stands above the options that are short for it."""
+    # `--objects A B seed=3`: what holds an equals sign is not an object.
+    named = arguments.objects or []
+    objects = None if arguments.objects is None else [name for name in named if "=" not in name]
+    given = {
+        "data": arguments.data,
+        "labels.split": arguments.split,
+        "labels.source": arguments.labels,
+        "labels.objects": objects,
+        "engine": arguments.engine,
+        "eval.window_s": arguments.window,
+        "motion.targets": arguments.motion,
+    }
+    return Asked(
+        baseline=arguments.baseline, policy=arguments.policy, run=arguments.run, cfg=arguments.cfg,
+        values={key: value for key, value in given.items() if value is not None},
+        overrides=[*(word for word in named if "=" in word), *arguments.overrides],
+    )  # fmt: skip
 
 
 def _check_outputs(arguments: argparse.Namespace) -> None:

@@ -3,35 +3,12 @@
 from __future__ import annotations
 
 import argparse
-import itertools
-import json
-from collections.abc import Callable, Sequence
-from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
-import numpy as np
-import torch
-
-from dgrasp.build import build_spec, frozen_policy
-from dgrasp.commands.runs import read_run
-from dgrasp.config.experiment import Config, find_config, load_config
-from dgrasp.data import DataChoice, resolve
-from dgrasp.errors import ConfigError, DataError
-from dgrasp.eval.evaluator import evaluate
-from dgrasp.eval.motion import choose_targets, motion_row, move, stable_grasps, usual_set
-from dgrasp.eval.summary import summarise
-from dgrasp.methods import TRAINED_BASELINES
-from dgrasp.methods.policy import PolicyMethod
-from dgrasp.motion.targets import draw_targets
-from dgrasp.pool import Pool, PoolSpec, make_pool
-from dgrasp.rl.networks import Policy
-from dgrasp.rl.run import checkpoint
-from dgrasp.rl.run.lock import only_run
-from dgrasp.rl.run.log import write_description
-from dgrasp.rl.runner import Runner
-from dgrasp.types import EpisodeRecord
-from dgrasp.view.frames import gif_bytes, render_record
+from dgrasp.config.experiment import find_config, load_config
+from dgrasp.config.values import override
+from dgrasp.errors import ConfigError
+from dgrasp.training import begin, resume
 
 HELP = """\
 Train a grasping policy with PPO on all labels of a split, one environment per label.
@@ -60,169 +37,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def main(arguments: argparse.Namespace) -> int:
     """Run the training that the command line describes; returns the exit code."""
-    if arguments.resume is not None:
-        if arguments.run is not None or arguments.cfg is not None:
-            raise ConfigError("--resume takes cfg and run directory from the run itself; leave --cfg and --run away")
-        run_dir = arguments.resume
-        config = _saved_config(run_dir, arguments)
-    else:
-        overrides = list(arguments.overrides)
-        if arguments.data is not None:
-            overrides.append(f"data={json.dumps(arguments.data)}")
-        config = load_config(find_config(arguments.cfg), overrides)
-        run_dir = arguments.run
-        if run_dir is not None and run_dir.exists() and (not run_dir.is_dir() or any(run_dir.iterdir())):
-            raise _exists(run_dir)
-    frozen_policy(config)
-    choice = resolve(config)
-    print(choice.describe(), flush=True)
-    if arguments.resume is None:
-        run_dir = run_dir or next_run(config.name)
-        start_run(run_dir, config, choice, new=True)
-    resume = arguments.resume is not None and bool(checkpoint.saved(run_dir))
-    if arguments.resume is not None and not resume:
-        _refuse_lost_checkpoints(run_dir)
-        print(f"{run_dir} was stopped before its first checkpoint, so it begins anew", flush=True)
-    train(run_dir, config, choice, resume)
-    print(f"done: {run_dir}\ntest it:  python test.py --run {run_dir}\nwatch it: tensorboard --logdir {run_dir.parent}")
-    return 0
-
-
-def _refuse_lost_checkpoints(run_dir: Path) -> None:
-    """A run without checkpoints begins anew, but not where there must have been some: what is left would be lost."""
-    made = read_run(run_dir)
-    epochs = made.number("epoch")
-    if epochs >= min(made.config.checkpoint.every, made.epochs):
-        raise ConfigError(f"{run_dir}: its checkpoints are gone, after {epochs:.0f} epochs; put them back, test "
-                          f"{checkpoint.BEST} with --policy, or begin another run with --run")
-
-
-def _saved_config(run_dir: Path, arguments: argparse.Namespace) -> Config:
-    file = run_dir / "config.yaml"
-    if not file.is_file():
-        raise ConfigError(f"{run_dir}: no config.yaml there, so no run to resume; give the folder that --run named")
     overrides = list(arguments.overrides)
     if arguments.data is not None:
-        overrides.append(f"data={json.dumps(arguments.data)}")
-    return load_config(file, overrides)
-
-
-def _exists(run_dir: Path) -> ConfigError:
-    return ConfigError(f"{run_dir} exists already; continue it with --resume {run_dir}, or choose another --run")
-
-
-def next_run(name: str) -> Path:
-    """Makes runs/NAME_K with the first K that is free: of runs that begin together each has its own."""
-    for k in itertools.count(1):
-        run_dir = Path("runs") / f"{name}_{k}"
-        try:
-            run_dir.mkdir(parents=True)
-            return run_dir
-        except FileExistsError:
-            if not Path("runs").is_dir():
-                raise DataError("runs: not a folder, so that no run can be put there; choose another --run") from None
-        except OSError as error:
-            raise _not_made(run_dir, error) from None
-    raise AssertionError
-
-
-def _not_made(run_dir: Path, error: OSError) -> DataError:
-    return DataError(f"{run_dir}: the run directory cannot be made ({error.strerror})")
-
-
-def start_run(run_dir: Path, config: Config, choice: DataChoice, new: bool = False) -> None:
-    """Make the run directory with its config and its data stamp.
-
-    `ConfigError` where another process trains, or, with `new`, has begun to.
-    """
-    try:
-        run_dir.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise _not_made(run_dir, error) from None
-    with only_run(run_dir):
-        if new and (run_dir / "config.yaml").exists():
-            raise _exists(run_dir)
-        write_description(run_dir, config, choice.stamp())
-
-
-def train(run_dir: Path, config: Config, choice: DataChoice, resume: bool = False) -> None:
-    """Train in `run_dir` to the config's last epoch."""
-    # The workers use all cores; the update, which they wait for, may have more than one (`ppo.threads`).
-    torch.set_num_threads(1)
-    spec = build_spec(choice, config)
-    if config.env.task != "grasp" and config.motion.stable_alone:
-        spec = only_stable(spec)
-    pool = make_pool(spec)
-    try:
-        if config.env.task == "grasp":
-            evaluator = periodic_evaluation(pool, spec, choice.stamp())
-        else:
-            evaluator = periodic_motion(pool, spec, choice)
-        Runner(pool, config, run_dir, choice.stamp(), evaluator, resume).learn()
-    finally:
-        pool.close()
-
-
-def periodic_evaluation(pool: Pool, spec: PoolSpec, stamp: dict[str, Any]) -> Callable[[Policy], dict[str, Any]]:
-    """Deterministic evaluation on the pool's labels, with a GIF of one grasp that walks through the labels."""
-    count = 0
-
-    def run(policy: Policy) -> dict[str, Any]:
-        nonlocal count
-        config = spec.config
-        records, cost = evaluate(pool, PolicyMethod(policy), config, config.eval.window_s)
-        result = summarise(
-            records, method="policy", engine=config.engine, window_s=config.eval.window_s, seed=config.seed,
-            data=stamp, cost=cost,
-        )  # fmt: skip
-        values: dict[str, Any] = dict(result.mean_over_labels)
-        values["success_mean_over_objects"] = result.mean_over_objects["success"]
-        values |= _gif(records, count, spec)
-        count += 1
-        return values
-
-    return run
-
-
-def only_stable(spec: PoolSpec) -> PoolSpec:
-    """The labels whose grasps by `motion.policy` are stable; the paper trains on no others (supplement, B.5)."""
-    stable, _, _ = stable_grasps(spec, None)
-    print(f"{int(stable.sum())} of {len(stable)} grasps of motion.policy are stable, and are trained on", flush=True)
-    return replace(spec, labels=[label for label, ok in zip(spec.labels, stable, strict=True) if ok])
-
-
-def periodic_motion(pool: Pool, spec: PoolSpec, choice: DataChoice) -> Callable[[Policy], dict[str, Any]]:
-    """The same for the tasks with a target: each of the pool's labels goes to one target of `motion.targets`."""
-    config = spec.config
-    named = config.motion.model_copy(update={"targets": config.motion.targets or usual_set(choice)})
-    targets = choose_targets(config.model_copy(update={"motion": named}), choice)
-    which = draw_targets(len(targets.T), pool.num_envs, 1, np.random.default_rng(config.seed))[0]
-    path = targets.place(which, spec.labels)
-    steps = max(config.motion.steps, path.shape[1])
-    kind = next(kind for kind in TRAINED_BASELINES.values() if kind.task == config.env.task)
-    count = 0
-
-    def run(policy: Policy) -> dict[str, Any]:
-        nonlocal count
-        records, _ = move(pool, kind(policy), config, path, steps)
-        rows = [motion_row(record, int(target), False) for record, target in zip(records, which, strict=True)]
-        values: dict[str, Any] = {"carried": float(np.mean([row["carried"] for row in rows]))}
-        for name in ("mpe_m", "geodesic_rad"):
-            # An episode that broke before its motion has neither.
-            measured = [row[name] for row in rows if name in row]
-            values |= {name: float(np.mean(measured))} if measured else {}
-        values |= _gif(records, count, spec)
-        count += 1
-        return values
-
-    return run
-
-
-def _gif(records: Sequence[EpisodeRecord], count: int, spec: PoolSpec) -> dict[str, bytes]:
-    """A GIF of one of the episodes that lasted a step at least, another one for each count, under "gif"."""
-    config, shown = spec.config, [record for record in records if len(record.gc)]
-    if not config.eval.gif or not shown:
-        return {}
-    record = shown[count * 7 % len(shown)]
-    frames = render_record(record, spec.hand, spec.objects[record.label.object_id], config.engine, every=6)
-    return {"gif": gif_bytes(frames, 6 * config.control_period)}
+        overrides.append(override("data", arguments.data))
+    if arguments.resume is None:
+        begin(load_config(find_config(arguments.cfg), overrides), arguments.run)
+        return 0
+    if arguments.run is not None or arguments.cfg is not None:
+        raise ConfigError("--resume takes cfg and run directory from the run itself; leave --cfg and --run away")
+    resume(arguments.resume, overrides)
+    return 0

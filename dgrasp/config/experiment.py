@@ -57,6 +57,11 @@ class Config(Section):
         """Seconds per control step."""
         return self.physics.timestep * self.physics.substeps
 
+    @property
+    def window_steps(self) -> int:
+        """Control steps of the stability test's window; one at least."""
+        return max(1, control_steps(self.eval.window_s, self.control_period))
+
     def episode_steps(self, epoch: int) -> int:
         """Control steps of an episode of training in an epoch; the first one is 1."""
         return self.env.episode_steps + self.env.lengthens_by * self.labels.doublings(epoch)
@@ -64,6 +69,22 @@ class Config(Section):
     def learned_steps(self, epoch: int) -> int:
         """Those of them that the learner sees: in task motion the ones after the grasp."""
         return self.episode_steps(epoch) - (self.env.grasp_steps if self.env.task == "motion" else 0)
+
+    def steps_in(self, epoch: int, environments: int) -> int:
+        """Control steps of all environments together in an epoch of training."""
+        return self.learned_steps(epoch) * self.labels.in_epoch(epoch, environments)
+
+    def last_epoch(self, environments: int, epoch: int = 0, steps: int = 0) -> int:
+        """The last epoch that `ppo.epochs` and `ppo.max_steps` allow; the first, at least.
+
+        epoch, steps: how many epochs are made already, and the control steps of all environments in them.
+        """
+        ppo = self.ppo
+        if ppo.max_steps is None:
+            return ppo.epochs
+        while epoch < ppo.epochs and (steps := steps + self.steps_in(epoch + 1, environments)) <= ppo.max_steps:
+            epoch += 1
+        return min(ppo.epochs, max(1, epoch))
 
     @model_validator(mode="after")
     def _consistent(self) -> Config:
@@ -80,6 +101,11 @@ class Config(Section):
         if self.ppo.min_learning_rate > self.ppo.max_learning_rate:
             raise ValueError("ppo.min_learning_rate must not exceed ppo.max_learning_rate")
         return self
+
+
+def control_steps(seconds: float, control_period: float) -> int:
+    """Control steps in so many seconds, rounded to a whole number."""
+    return round(seconds / control_period)
 
 
 def config_keys(model: type[BaseModel] = Config, prefix: str = "") -> list[str]:

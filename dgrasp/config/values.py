@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 from collections.abc import Mapping
 from typing import Any
@@ -57,6 +58,11 @@ def apply_overrides(values: dict[str, Any], overrides: list[str]) -> dict[str, A
             node = child
         node[leaf] = parse_yaml(text, f"override {item!r}")
     return merged
+
+
+def override(key: str, value: Any) -> str:
+    """The override `key=value` that sets a dotted key to a plain value, such as a text or a list of them."""
+    return f"{key}={json.dumps(value)}"
 
 
 def flat_keys(values: Mapping[Any, Any], prefix: str = "") -> dict[str, Any]:

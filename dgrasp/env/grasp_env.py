@@ -19,6 +19,7 @@ from dgrasp.env.training_hold import TrainingHold
 from dgrasp.hand.layout import N_WRIST
 from dgrasp.hand.model import HandModel
 from dgrasp.objects.model import ObjectModel
+from dgrasp.rl.collect import Actor
 from dgrasp.scene.relations import Relations, relations
 from dgrasp.scene.scene import LOWERED_TOP, TABLE_TOP, Scene
 from dgrasp.scene.state import StepArrays, state_views, take
@@ -46,6 +47,7 @@ class GraspEnv:
 
     `indices` are the places of the labels in the whole set: they seed the environments, so that an
     environment's noise does not depend on how the set is divided over processes. `total` is the size of that set.
+    `grasp` is the frozen grasping policy of a task that has one.
     """
 
     labels: Sequence[GraspLabel]
@@ -56,6 +58,7 @@ class GraspEnv:
     total: int = 0
     make_scene: Callable[..., Scene] = Scene
     events: list[str] = field(default_factory=list)
+    grasp: Actor | None = None
 
     def __post_init__(self) -> None:
         n = len(self.labels)
@@ -226,9 +229,9 @@ class GraspEnv:
             self.worlds.release(i, self.control.kp_position)
 
     def begin_motion(self, path: Array, fingers: Fingers = "policy") -> None:
-        """Motion synthesis begins: the wrist carries the objects along targets T_WG (N, P, 4, 4).
+        """Motion synthesis begins: the wrist carries the objects along the path (N, P, 4, 4) of their T_WG.
 
-        Target k is that of control step k from now, the last one stays. The table stays as it is. fingers: "policy"
+        Pose k is the target of control step k from now; the last one stays. The table stays as it is. fingers: "policy"
         moves them; "target" keeps their PD targets, "pose" makes where they are their targets.
         """
         self._path, self._path_step = path, 0

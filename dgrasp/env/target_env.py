@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from dgrasp.control.controllers import HOLD_KP_POSITION, Controller
@@ -13,7 +11,6 @@ from dgrasp.env.features import FeatureLayer
 from dgrasp.env.grasp_env import GraspEnv, Mode, Seen
 from dgrasp.hand.layout import N_WRIST
 from dgrasp.motion.targets import training_target
-from dgrasp.rl.collect import Actor
 from dgrasp.scene.relations import relations
 from dgrasp.types import Array
 
@@ -47,7 +44,6 @@ class FlatEnv(TargetEnv):
         """The policy has it already."""
 
 
-@dataclass
 class MotionEnv(TargetEnv):
     """The baseline "learned policy": actions (N, 6) move the wrist, while a frozen policy grasps (supplement, A.2).
 
@@ -55,11 +51,7 @@ class MotionEnv(TargetEnv):
     makes them, so that they are no part of what is learned from. (An episode that the simulation broke begins anew in
     the middle of an epoch; there the actions have no effect, and earn nothing, until the grasp is made.) In a test
     nothing moves before `begin_motion`.
-
-    grasp: the frozen policy, on the features of task "grasp".
     """
-
-    grasp: Actor | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -114,3 +106,7 @@ class MotionEnv(TargetEnv):
     def _pay(self, seen: Seen) -> None:
         super()._pay(seen)
         self.o.reward[~self._moving], self.o.reward_terms[~self._moving] = 0.0, 0.0
+
+
+ENVS: dict[str, type[GraspEnv]] = {"grasp": GraspEnv, "flat": FlatEnv, "motion": MotionEnv}
+"""By the `env.task`."""

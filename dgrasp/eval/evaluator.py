@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from dgrasp.config.experiment import Config
-from dgrasp.methods.policy import Method
+from dgrasp.methods.method import Method
 from dgrasp.pool import Pool, PoolSpec, WorkerLost, make_pool
 from dgrasp.types import Array, EpisodeRecord
 from raisim_like.rotations import transform
@@ -68,7 +68,7 @@ class Recorder:
                     window_start=window_start,
                     dt=dt,
                     terminated="" if self.length[i] == self.steps else UNSTABLE,
-                    target_T_WO=self.T_WG[cut, i] if with_target else None,
+                    T_WG=self.T_WG[cut, i] if with_target else None,
                 )
             )
         return made
@@ -92,14 +92,13 @@ def evaluate_labels(
     However many labels there are, no more than `AT_ONCE` of them are in memory; the records are the same to the bit.
     """
     config, parts, total = spec.config, parts_of(spec), evaluation_steps(spec, method)
-    window = config.eval.window_s
     records: list[EpisodeRecord] = []
     costs: list[Cost] = []
     events: list[str] = []
     for k, part in enumerate(parts):
         pool = make_pool(replace(spec, labels=spec.labels[part]))
         try:
-            made, cost = evaluate(pool, method, config, window, shifted(progress, k * total // len(parts), total))
+            made, cost = evaluate(pool, method, config, shifted(progress, k * total // len(parts), total))
             events += pool.drain_events()
         finally:
             pool.close()
@@ -117,7 +116,7 @@ def parts_of(spec: PoolSpec) -> list[slice]:
 
 def evaluation_steps(spec: PoolSpec, method: Method) -> int:
     """How many steps `evaluate_labels` tells its progress in."""
-    episode = grasp_steps(method, spec.config) + window_steps(spec.config, spec.config.eval.window_s)
+    episode = grasp_steps(method, spec.config) + spec.config.window_steps
     return len(parts_of(spec)) * episode
 
 
@@ -135,15 +134,15 @@ def summed(costs: Sequence[Cost]) -> Cost:
 
 
 def evaluate(
-    pool: Pool, method: Method, config: Config, window_s: float, progress: Progress | None = None
+    pool: Pool, method: Method, config: Config, progress: Progress | None = None
 ) -> tuple[list[EpisodeRecord], Cost]:
     """Records of one deterministic episode per label, and the cost (control_steps, wall_s, physics_share).
 
-    A policy grasps for `env.grasp_steps`, then the table goes and the window of `window_s` seconds begins
+    A policy grasps for `env.grasp_steps`, then the table goes and the window of `eval.window_s` seconds begins
     (supplement B.3). A baseline that starts in the label's pose begins with the window.
     """
     grasp = grasp_steps(method, config)
-    steps = grasp + window_steps(config, window_s)
+    steps = grasp + config.window_steps
     # Where an episode starts without a table there is none to take away.
     begin = pool.remove_table if grasp else None
     recorder, cost = run_episodes(pool, method, steps, grasp, begin, progress)
@@ -153,11 +152,6 @@ def evaluate(
 def grasp_steps(method: Method, config: Config) -> int:
     """Control steps until the test begins: none for a method that starts in the label's pose."""
     return 0 if method.mode == "label" else config.env.grasp_steps
-
-
-def window_steps(config: Config, window_s: float) -> int:
-    """Control steps of a window of that many seconds."""
-    return max(1, round(window_s / config.control_period))
 
 
 def run_episodes(

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from dgrasp.config.experiment import control_steps
 from dgrasp.eval.metrics import fallen, window_steps
 from dgrasp.types import Array, EpisodeRecord
 
@@ -130,7 +131,7 @@ def held_over_time(rows: Sequence[Mapping[str, Any]], window_s: float, dt: float
 
     The first entry is at 0, the last at the window's end, where the share is the object's success.
     """
-    times = np.arange(round(window_s / dt) + 1) * dt
+    times = np.arange(control_steps(window_s, dt) + 1) * dt
     groups: dict[str, list[float]] = {}
     for row in rows:
         groups.setdefault(row["object"], []).append(row.get("lost_s", np.inf))

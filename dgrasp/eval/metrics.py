@@ -2,13 +2,14 @@
 
 Where the paper and the code behind its numbers differ, these follow the code; docs/deviations.md lists the
 differences. The window begins with the first step after the table was taken away and lasts
-round(window_s / dt) control steps.
+`control_steps(window_s, dt)` control steps.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
+from dgrasp.config.experiment import control_steps
 from dgrasp.errors import DataError
 from dgrasp.types import Array, EpisodeRecord
 
@@ -17,12 +18,12 @@ FALLEN_HEIGHT = 0.1
 
 
 def window_steps(record: EpisodeRecord, window_s: float) -> int:
-    """Control steps in the window: round(window_s / dt), fewer where the episode ended early.
+    """Control steps in the window, fewer where the episode ended early.
 
     Raises `DataError` for a window shorter than one step, and for a record that ends before the window does
     although its episode did not end early.
     """
-    steps = round(window_s / record.dt)
+    steps = control_steps(window_s, record.dt)
     if steps < 1:
         raise DataError(f"{record.label.name}: a window of {window_s:g} s has no control step of {record.dt:g} s; "
                         "expected at least one step; choose a longer window")
@@ -153,9 +154,9 @@ def _in_frame(T_WO: Array, points_W: Array) -> Array:
 
 def _targets(record: EpisodeRecord) -> Array:
     """(T, 4, 4) the object's target after each step."""
-    if record.target_T_WO is None:
-        raise DataError(f"{record.label.name}: the episode has no target pose of the object; expected target_T_WO")
-    return np.broadcast_to(record.target_T_WO, (len(record.T_WO), 4, 4))
+    if record.T_WG is None:
+        raise DataError(f"{record.label.name}: the episode has no target pose of the object; expected T_WG")
+    return record.T_WG
 
 
 def _last(errors: Array) -> float | None:

@@ -27,10 +27,7 @@ from dgrasp.eval.evaluator import (
     summed,
 )
 from dgrasp.eval.summary import Result, Row, summarise
-from dgrasp.methods.flat_rl import FlatRl
-from dgrasp.methods.learned_motion import LearnedMotion
-from dgrasp.methods.policy import FrozenGrasp, Method, PolicyMethod
-from dgrasp.methods.static_grasp import StaticGrasp
+from dgrasp.methods.method import Method
 from dgrasp.motion.files import read_targets
 from dgrasp.motion.paths import PATHS
 from dgrasp.motion.targets import EASY_FILE, OWN_SETS, TargetSet, draw_targets, easy_targets
@@ -99,7 +96,7 @@ def run_motions(
     costs: list[Cost] = []
     events: list[str] = []
     if motion.stable_alone:
-        stable, cost, events = stable_grasps(spec, method, shifted(progress, 0, total))
+        stable, cost, events = stable_grasps(*method.grasping(spec), shifted(progress, 0, total))
         costs, done = [cost], test_steps
     spec = dataclasses.replace(spec, labels=[label for label, ok in zip(spec.labels, stable, strict=True) if ok])
     total = done + len(which) * len(parts_of(spec)) * episode
@@ -124,22 +121,17 @@ def run_motions(
 
 
 def stable_grasps(
-    spec: PoolSpec, method: Method | None, progress: Progress | None = None
+    method: Method, spec: PoolSpec, progress: Progress | None = None
 ) -> tuple[Array, Cost, list[str]]:
-    """(N,) bool: which grasps of the labels pass the stability test; its cost and events. `DataError` if none does.
+    """(N,) bool: which of a method's grasps of the labels pass the stability test; its cost and events.
 
-    Who makes them is `method`, but in the tasks motion and flat the frozen policy, in the task of grasping.
+    `DataError` if none does. method, spec: as `Method.grasping` gives them.
     """
-    config = spec.config
-    if config.env.task != "grasp":
-        assert spec.grasp is not None
-        method = FrozenGrasp(spec.grasp)
-        config = config.model_copy(update={"env": config.env.model_copy(update={"task": "grasp"})})
-    assert method is not None
-    records, cost, events = evaluate_labels(dataclasses.replace(spec, config=config), method, progress)
-    stable = np.array([metrics.success(record, config.eval.window_s) for record in records], bool)
+    records, cost, events = evaluate_labels(spec, method, progress)
+    window_s = spec.config.eval.window_s
+    stable = np.array([metrics.success(record, window_s) for record in records], bool)
     if not stable.any():
-        raise DataError(f"none of the {len(stable)} grasps passes the stability test of {config.eval.window_s:g} "
+        raise DataError(f"none of the {len(stable)} grasps passes the stability test of {window_s:g} "
                         "s, so there is nothing to move; motion.stable_alone=false moves them all the same")
     return stable, cost, events
 
@@ -147,16 +139,15 @@ def stable_grasps(
 def move(
     pool: Pool, method: Method, config: Config, path: Array, steps: int, progress: Progress | None = None
 ) -> tuple[list[EpisodeRecord], Cost]:
-    """One episode per label: the grasp, then `steps` control steps along the targets path (N, P, 4, 4).
+    """One episode per label: the grasp, then `steps` control steps along the path (N, P, 4, 4) of T_WG.
 
-    Flat-RL knows no phases: it has as many steps in all, and the first target from the first of them.
+    A method that does not grasp first has as many steps in all, and the first target from the first of them.
     """
     grasp = grasp_steps(method, config)
-    fingers = config.motion.static_fingers if isinstance(method, StaticGrasp) else "policy"
     first = grasp
-    if isinstance(method, FlatRl):
+    if not method.grasps_first:
         first, path = 0, np.concatenate([np.repeat(path[:, :1], grasp, axis=1), path], axis=1)
-    begin = partial(pool.begin_motion, path, fingers)
+    begin = partial(pool.begin_motion, path, method.fingers(config.motion))
     recorder, cost = run_episodes(pool, method, grasp + steps, first, begin, progress)
     records = recorder.records(grasp, config.control_period, with_target=True)
     return [until_floor(record) for record in records], cost
@@ -201,19 +192,12 @@ def motion_result(
         "targets": targets.name,
         "n_targets": len(targets.T),
         "steps": motions.steps,
-        "beta": {"position": motion.beta_position, "rotation": motion.beta_rotation,
-                 "ramp_position": motion.ramp_position, "ramp_rotation": motion.ramp_rotation},
-        "fingers": motion.static_fingers if isinstance(method, StaticGrasp) else "policy",
-        "grasp": method.grasp.name if isinstance(method, StaticGrasp) else method.name,
+        **method.describe(motion),
         "n_grasps": len(motions.stable),
         "n_stable": int(motions.stable.sum()) if motion.stable_alone else None,
         "left_out": [f"{label.object_id}[{label.index}]" for label, ok in zip(labels, motions.stable, strict=True)
                      if not ok],
     }
-    if isinstance(method, (FlatRl, LearnedMotion)):
-        del about["beta"]
-        about["sigma"] = {"position": motion.sigma_position, "rotation": motion.sigma_rotation}
-        about["grasp"] = method.name if isinstance(method, FlatRl) else str(motion.policy)
     if not motion.stable_alone:
         del about["n_stable"], about["left_out"]
     return summarise(
@@ -222,8 +206,8 @@ def motion_result(
     )  # fmt: skip
 
 
-def check_method(method: Method) -> None:
-    """`ConfigError` for a method that makes no grasp to move: only policies and the static grasp do."""
-    if not isinstance(method, (PolicyMethod, StaticGrasp)):
+def check_moves(method: Method) -> None:
+    """`ConfigError` for a method that cannot move objects."""
+    if method.motion == "never":
         raise ConfigError(f"--motion: {method.name} holds a pose and moves nothing; expected --policy, --run, or "
                           "--baseline static_grasp")

@@ -86,7 +86,7 @@ def label_row(record: EpisodeRecord, window_s: float) -> Row:
         "label_distance_mm": metrics.label_distance_mm(record),
         "label_angles_deg": metrics.label_angles_deg(record),
     }
-    if record.target_T_WO is not None:
+    if record.T_WG is not None:
         measured["mpe_m"], measured["geodesic_rad"] = metrics.mpe_m(record), metrics.geodesic_rad(record)
     row.update({name: value for name, value in measured.items() if value is not None})
     end = failures.outcome(record, window_s)

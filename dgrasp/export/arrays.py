@@ -58,8 +58,8 @@ def sequence_arrays(sequence: StoredSequence, mano: Path | None = None) -> dict[
         "table_contact": np.asarray(record.table_contact, dtype=bool),
         "table_top": table_tops(record, sequence.about["table"]["top_m"], sequence.about["table"]["lowered_m"]),
     }  # fmt: skip
-    if record.target_T_WO is not None:
-        arrays["object_target"] = np.broadcast_to(record.target_T_WO, (len(record.gc), 4, 4))
+    if record.T_WG is not None:
+        arrays["object_target"] = record.T_WG
     return arrays | _mano(sequence, mano)
 
 

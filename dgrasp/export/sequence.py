@@ -4,8 +4,8 @@ Members (T control steps; m, rad, s, world frame with z up; float32 unless said 
 `meta` a JSON text: method, engine, window_s, timestep_s, dt, window_start, terminated, table, the label's place, the
 result row, the stamp of the data, and of a hand made from MANO its side and betas;
 `gc` (T, D), `T_WH`, `T_WO` (T, 4, 4), `joints_W` (T, K, 3), `contact_impulse` (T, P) N s per substep, `contacts`
-(T, P) and `table_contact` (T,) bool, `reward` (T,): as in `EpisodeRecord`; `target_T_WO` (4, 4) or (T, 4, 4) where the
-episode has one; `label_*`: the grasp label, float64;
+(T, P) and `table_contact` (T,) bool, `reward` (T,): as in `EpisodeRecord`; `target_T_WO` (T, 4, 4), or (4, 4) for a
+pose that stands, is the record's T_WG where it has one; `label_*`: the grasp label, float64;
 `parents` (P,), `offsets` (P, 3), `joint_parts` (J,), `axes` (J, 3), `joint_frames` (J, 3, 3), `keypoint_parts` (K,),
 `keypoint_offsets` (K, 3): the hand's `Kinematics`, float64 and int64;
 `mesh_vertices` (V, 3), `mesh_faces` (F, 3) and `mesh_sizes` (P + 1, 2) int32: light meshes of the parts and the object,
@@ -110,8 +110,8 @@ def write_sequence(path: Path, sequence: StoredSequence) -> None:
         "mesh_faces": np.concatenate([mesh.faces for mesh in bodies]).astype(np.int32),
         "mesh_sizes": np.array([[len(mesh.vertices), len(mesh.faces)] for mesh in bodies], dtype=np.int32),
     }
-    if record.target_T_WO is not None:
-        arrays["target_T_WO"] = np.asarray(record.target_T_WO, dtype=np.float32)
+    if record.T_WG is not None:
+        arrays["target_T_WO"] = np.asarray(record.T_WG, dtype=np.float32)
     stream = io.BytesIO()
     packed: dict[str, Any] = arrays
     np.savez_compressed(stream, **packed)
@@ -136,14 +136,14 @@ def read_sequence(path: Path) -> StoredSequence:
         if lacking:
             raise DataError(f"{path}: lacks {', '.join(lacking)}; write it anew with `test.py --records DIR`")
         a = {name: archive.read(name, "biuf") for name in required}
-        target = archive.read("target_T_WO", "f") if "target_T_WO.npy" in archive.names else None
+        T_WG = archive.read("target_T_WO", "f") if "target_T_WO.npy" in archive.names else None
     steps = len(a["gc"]) if a["gc"].ndim else 0
     names = _names(path, meta)
     for name, shape in _shapes(names, steps, chain_members).items():
         if a[name].shape != shape:
             raise DataError(f"{path}: {name} has shape {a[name].shape}; expected {shape}; write the file anew")
-    if target is not None and target.shape not in ((4, 4), (steps, 4, 4)):
-        raise DataError(f"{path}: target_T_WO has shape {target.shape}; expected (4, 4) or {(steps, 4, 4)}")
+    if T_WG is not None and T_WG.shape not in ((4, 4), (steps, 4, 4)):
+        raise DataError(f"{path}: target_T_WO has shape {T_WG.shape}; expected (4, 4) or {(steps, 4, 4)}")
     bad = [name for name in (*chain_members, "mesh_vertices") if not np.isfinite(a[name]).all()]
     if bad:
         raise DataError(f"{path}: {', '.join(bad)} hold NaN or infinity; write the file anew")
@@ -159,7 +159,7 @@ def read_sequence(path: Path) -> StoredSequence:
     states: dict[str, Any] = {name: a[name].astype(bool if name == "table_contact" else float) for name in _STATES}
     record = EpisodeRecord(
         label=label, **states, window_start=meta["window_start"], dt=meta["dt"], terminated=meta["terminated"],
-        target_T_WO=None if target is None else target.astype(np.float64),
+        T_WG=None if T_WG is None else np.broadcast_to(T_WG, (steps, 4, 4)).astype(np.float64),
     )  # fmt: skip
     meshes = _meshes(path, (*names.parts, "object"), a["mesh_vertices"], a["mesh_faces"], a["mesh_sizes"])
     about = {key: meta[key] for key in ("method", "engine", "window_s", "timestep_s", "table", "row", "data")}

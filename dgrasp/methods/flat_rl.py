@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
-from dgrasp.methods.policy import PolicyMethod
-from dgrasp.rl.networks import Policy
+from dgrasp.config.sections import MotionConfig
+from dgrasp.methods.target_policy import TargetPolicy
 
 
-class FlatRl(PolicyMethod):
+class FlatRl(TargetPolicy):
     """Supplement, section B.4: no phases, so its target is there from the first step; `dgrasp.env.target_env.FlatEnv`.
 
-    Trained by `python train.py --cfg cfg/flat_rl.yaml`.
+    A frozen policy only tells which labels are trained and tested on, with `motion.stable_alone`.
     """
 
     name = "flat_rl"
     task = "flat"
+    cfg = "cfg/flat_rl.yaml"
+    grasps_first = False
 
-    def __init__(self, policy: Policy) -> None:
-        super().__init__(policy, self.name)
+    @classmethod
+    def needs_grasp(cls, motion: MotionConfig) -> bool:
+        return motion.stable_alone

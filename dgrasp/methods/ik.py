@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
+import sys
+import time
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -12,8 +14,10 @@ from dgrasp.geometry.intersection import Body
 from dgrasp.hand.inverse import fit_keypoints
 from dgrasp.hand.model import HandModel
 from dgrasp.hand.spheres import CONTACT_DISTANCE
+from dgrasp.methods.method import Bodies
 from dgrasp.methods.pd import PdBaseline
 from dgrasp.objects.body import surface_points
+from dgrasp.pool import PoolSpec
 from dgrasp.types import Array, GraspLabel
 
 SPACING = 0.003
@@ -25,11 +29,14 @@ class IkBaseline(PdBaseline):
 
     name = "gt_ik"
 
-    def correct(
-        self, labels: Sequence[GraspLabel], hand: HandModel, objects: Mapping[str, Body]
-    ) -> list[GraspLabel]:
-        """The labels with wrist, finger angles and key points corrected; objects: bodies by name, in their frames O."""
-        return correct_labels(labels, hand, objects)
+    def prepare(self, spec: PoolSpec, bodies: Bodies) -> PoolSpec:
+        """The pool with its labels corrected; says how long that took."""
+        objects = bodies()
+        started = time.perf_counter()
+        labels = correct_labels(spec.labels, spec.hand, objects)
+        took = time.perf_counter() - started
+        print(f"{self.name}: {len(labels)} labels corrected in {took:.1f} s", file=sys.stderr)
+        return dataclasses.replace(spec, labels=labels)
 
 
 def correct_labels(
@@ -37,6 +44,7 @@ def correct_labels(
 ) -> list[GraspLabel]:
     """The labels with the key points of goal contacts drawn to the closest points of their object's surface.
 
+    objects: bodies by name, in their frames O.
     The other key points are to stay, and so are the angles, weakly (`fit_keypoints`). Wrist and fingers move, the
     object does not.
     """

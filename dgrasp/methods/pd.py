@@ -4,15 +4,21 @@ from __future__ import annotations
 
 import numpy as np
 
-from dgrasp.env.grasp_env import Mode
+from dgrasp.methods.method import Method
 from dgrasp.types import Array
 
 
-class PdBaseline:
+class PdBaseline(Method):
     """Supplement, section B.4. The environment's mode "label" holds the pose, so the action is nothing."""
 
     name = "gt_pd"
-    mode: Mode = "label"
+    mode = "label"
+    motion = "never"
+
+    @classmethod
+    def make(cls, policy: Method | None, where: str) -> Method:
+        """It takes no policy."""
+        return cls()
 
     def act(self, observation: Array) -> Array:
         """Zeros (N, 1), which broadcast to all joints."""

@@ -1,51 +1,39 @@
-"""What can be evaluated: a trained policy, or a baseline of `dgrasp.methods`."""
+"""A trained policy of grasping; with wrist guidance and the closed loop of motion synthesis, the paper's own method."""
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import ClassVar
 
-import numpy as np
-
-from dgrasp.env.grasp_env import Mode
-from dgrasp.rl.collect import Actor
+from dgrasp.config.sections import MotionConfig
+from dgrasp.methods.method import Method
 from dgrasp.rl.networks import Policy
 from dgrasp.types import Array
 
 
-class Method(Protocol):
-    """How an evaluated episode starts, and what it does."""
+class PolicyMethod(Method):
+    """A trained policy, without exploration noise, from the start of the approach (paper, section 4.4).
 
-    name: str
-    mode: Mode
-
-    def act(self, observation: Array) -> Array:
-        """Actions (N, A) for observations (N, O)."""
-
-
-class PolicyMethod:
-    """A trained policy, without exploration noise, from the start of the approach (paper, section 4.4)."""
-
-    mode: Mode = "test"
-    task = "grasp"
-    """The `env.task` that such a policy is for."""
-
-    def __init__(self, policy: Policy, name: str = "policy") -> None:
-        self.policy, self.name = policy, name
-
-    def act(self, observation: Array) -> Array:
-        return self.policy.act(observation)
-
-
-class FrozenGrasp:
-    """The frozen grasping policy of task "motion", as its environments have it."""
+    cfg, cfg_keys: what train.py takes to train one.
+    """
 
     name = "policy"
-    mode: Mode = "test"
+    takes_policy = "must"
+    cfg: ClassVar[str] = "cfg/dexycb.yaml"
+    cfg_keys: ClassVar[tuple[str, ...]] = ()
 
-    def __init__(self, actor: Actor) -> None:
-        self._actor = actor
+    def __init__(self, policy: Policy) -> None:
+        self.policy = policy
+
+    @classmethod
+    def train_command(cls) -> str:
+        """The command line that trains such a policy."""
+        return " ".join(["python train.py --cfg", cls.cfg, *cls.cfg_keys])
+
+    @classmethod
+    def needs_grasp(cls, motion: MotionConfig) -> bool:
+        """Whether its environments, or the choice of its labels, need the frozen policy `motion.policy`."""
+        return False
 
     def act(self, observation: Array) -> Array:
-        actions = np.empty((len(observation), len(self._actor.std)), np.float32)
-        self._actor.means(observation, actions)
-        return actions
+        """Actions (N, A), the means of the policy."""
+        return self.policy.act(observation)

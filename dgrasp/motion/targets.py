@@ -41,7 +41,7 @@ class TargetSet:
     relative: bool
 
     def place(self, which: Sequence[int] | Array, labels: Sequence[GraspLabel]) -> Array:
-        """(N, P, 4, 4): the target poses T_WG for N labels, of which label i goes to target which[i]."""
+        """The path (N, P, 4, 4) of T_WG for N labels, of which label i goes to target which[i]."""
         T = np.array(self.T[np.asarray(which, dtype=int)])
         if self.relative:
             T_WO = np.array([label.T_WO for label in labels])

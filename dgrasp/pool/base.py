@@ -11,7 +11,7 @@ from dgrasp.control.motion import Fingers
 from dgrasp.env.features import FeatureLayer
 from dgrasp.env.grasp_env import GraspEnv, Mode
 from dgrasp.env.rewards import Reward
-from dgrasp.env.target_env import FlatEnv, MotionEnv
+from dgrasp.env.target_env import ENVS
 from dgrasp.errors import DGraspError
 from dgrasp.hand.model import HandModel
 from dgrasp.objects.model import ObjectModel
@@ -46,11 +46,8 @@ def make_env(spec: PoolSpec, rows: slice = slice(None)) -> GraspEnv:
     """The environments of some labels, of the kind that `env.task` names."""
     indices = list(range(len(spec.labels)))[rows]
     labels = [spec.labels[i] for i in indices]
-    arguments = (labels, spec.hand, spec.objects, spec.config, indices, len(spec.labels))
-    task = spec.config.env.task
-    if task == "motion":
-        return MotionEnv(*arguments, grasp=spec.grasp)
-    return FlatEnv(*arguments) if task == "flat" else GraspEnv(*arguments)
+    kind = ENVS[spec.config.env.task]
+    return kind(labels, spec.hand, spec.objects, spec.config, indices, len(spec.labels), grasp=spec.grasp)
 
 
 class SizedPool:
@@ -102,7 +99,7 @@ class Pool(VecEnv, Protocol):
         """Begin the stability test in all environments."""
 
     def begin_motion(self, path: Array, fingers: Fingers = "policy") -> None:
-        """Begin the motion along targets (N, P, 4, 4) in all environments (see `GraspEnv.begin_motion`).
+        """Begin the motion along the targets' path (N, P, 4, 4) in all environments (see `GraspEnv.begin_motion`).
 
         The observations of the last step then show the first targets.
         """

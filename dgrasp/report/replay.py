@@ -74,10 +74,10 @@ def pack(
 def _replay(group: str, record: EpisodeRecord, row: Row, meshes: DisplayMeshes) -> dict[str, Any]:
     stride = -(-len(record.gc) // MAX_FRAMES)
     q, t = (values[::stride] for values in body_poses(meshes, record))
-    if record.target_T_WO is not None:
-        T = np.broadcast_to(record.target_T_WO, (len(record.gc), 4, 4))[::stride]
-        q = np.concatenate([q, blendable(T[:, None, :3, :3])], axis=1)
-        t = np.concatenate([t, T[:, None, :3, 3]], axis=1)
+    if record.T_WG is not None:
+        T_WG = record.T_WG[::stride]
+        q = np.concatenate([q, blendable(T_WG[:, None, :3, :3])], axis=1)
+        t = np.concatenate([t, T_WG[:, None, :3, 3]], axis=1)
     t = np.clip(t, t[0, 0] - REACH, t[0, 0] + REACH)
     target, yaw = viewpoint(record)
     lo, step, places = _quantised(t)

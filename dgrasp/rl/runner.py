@@ -194,7 +194,7 @@ class Runner:
 
     def _steps_in(self, epoch: int) -> int:
         """Control steps that an epoch asks for."""
-        return self.config.learned_steps(epoch) * self.config.labels.in_epoch(epoch, self.env.num_envs)
+        return self.config.steps_in(epoch, self.env.num_envs)
 
     def _steps_after(self, epoch: int) -> int:
         """Control steps of the whole run when an epoch is complete, not before the one that it was resumed after.
@@ -207,13 +207,7 @@ class Runner:
     @property
     def last_epoch(self) -> int:
         """The last one that `ppo.epochs` and `ppo.max_steps` allow; the first, at least."""
-        ppo, last = self.config.ppo, self._resumed_epoch
-        if ppo.max_steps is None:
-            return ppo.epochs
-        steps = self._resumed_steps
-        while last < ppo.epochs and (steps := steps + self._steps_in(last + 1)) <= ppo.max_steps:
-            last += 1
-        return min(ppo.epochs, max(1, last))
+        return self.config.last_epoch(self.env.num_envs, self._resumed_epoch, self._resumed_steps)
 
     def _open_log(self) -> Log:
         ppo = self.config.ppo

@@ -36,7 +36,7 @@ def _some_hold(labels: list[GraspLabel], hand: HandModel, model: ObjectModel, co
 def outlasts_window(env: GraspEnv, actions: Callable[[], Array]) -> Array:
     """(N,) bool: who holds the object without a table for the test's window, under actions (N, A) of each step."""
     left = np.zeros(env.num_envs, bool)
-    for _ in range(round(env.config.eval.window_s / env.config.control_period)):
+    for _ in range(env.config.window_steps):
         env.step(actions())
         # What has fallen needs no more physics.
         fallen = env.s.table_contact.astype(bool) | (env.s.object_pos_W[:, 2] <= FALLEN_HEIGHT)

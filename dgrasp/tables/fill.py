@@ -2,28 +2,28 @@
 
 from __future__ import annotations
 
-import argparse
 import hashlib
 import json
 import shlex
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from dgrasp import evaluation as evaluate
-from dgrasp import request
 from dgrasp.config.experiment import Config, find_config, load_config
 from dgrasp.config.values import flat_keys
-from dgrasp.data import DataChoice, resolve
+from dgrasp.data import DataChoice
 from dgrasp.errors import DataError, DGraspError
 from dgrasp.eval.motion import usual_set
 from dgrasp.eval.summary import Result, Row, is_metric, summarise
 from dgrasp.files.atomic import write_atomic
 from dgrasp.files.paths import cfg_root
 from dgrasp.labels.source import sha256_of
+from dgrasp.methods import PolicyMethod
+from dgrasp.request import Asked, Request, make_request
 from dgrasp.tables.plan import Line, Plan, Trial
 from dgrasp.tables.trainings import Say, Trainings
 
@@ -124,18 +124,9 @@ class Tables:
         return found
 
     def _evaluate(self, trial: Trial, motion: bool) -> tuple[Any, str, list[str]]:
-        run = trial.run
-        words = ["--cfg", str(self.cfg)] if run is None else self.trainings.test_words(run)
-        if trial.method != "policy":
-            words += ["--baseline", trial.method]
-        words += [*self.overrides, *trial.overrides, *(self.trainings.own_grasp(run) if run is not None else [])]
-        arguments = _parse(words)
-        config = request.config_of(arguments)
-        choice = resolve(config)
-        if motion:
-            words += ["--motion", usual_set(choice)]
-            config = request.config_of(_parse(words))
-        command, changed = shlex.join(["python", "test.py", *words]), _changed(trial, config, motion)
+        request, command = self._request(trial, motion)
+        config, choice = request.config, request.choice
+        changed = _changed(trial, config, motion)
         file = self.results / f"{self._key(trial, config, choice)}.json"
         if file.is_file():
             try:
@@ -144,7 +135,7 @@ class Tables:
                 self.say(f"{file} is damaged and is made again")
         self.say(f"evaluating: {command}")
         evaluation = evaluate.evaluate_motion if motion else evaluate.evaluate_choice
-        result, _, _ = evaluation(request.method_for(arguments), config, choice)
+        result, _, _ = evaluation(request.method, config, choice)
         try:
             self.results.mkdir(parents=True, exist_ok=True)
             write_atomic(file, json.dumps(result.as_dict(), allow_nan=False))
@@ -153,12 +144,36 @@ class Tables:
                             "--runs") from None
         return result.as_dict(), command, changed
 
+    def _request(self, trial: Trial, motion: bool) -> tuple[Request, str]:
+        """A trial's evaluation, and the command that makes the same one by hand."""
+        run, overrides = trial.run, [*self.overrides, *trial.overrides]
+        asked = Asked(cfg=self.cfg) if run is None else self.trainings.asked(run)
+        if run is not None:
+            overrides += self.trainings.own_grasp(run)
+        baseline = None if trial.method == PolicyMethod.name else trial.method
+        asked = replace(asked, baseline=baseline, overrides=overrides)
+        request = make_request(asked)
+        if motion:
+            asked = replace(asked, values={"motion.targets": usual_set(request.choice)})
+            request = make_request(asked)
+        return request, _command(asked)
+
     def _key(self, trial: Trial, config: Config, choice: DataChoice) -> str:
         """Names an evaluation by all that its figures depend on."""
         weights = "" if trial.run is None else sha256_of(self.trainings.policy_of(trial.run))
         used = config.model_dump(mode="json", exclude={"pool", "ppo", "checkpoint", "device", "name"})
         text = json.dumps([trial.method, weights, used, choice.stamp()], sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()[:20]
+
+
+def _command(asked: Asked) -> str:
+    """The command line that asks for the same."""
+    paths = {"--cfg": asked.cfg, "--policy": asked.policy, "--run": asked.run, "--baseline": asked.baseline}
+    words = [word for name, value in paths.items() if value is not None for word in (name, str(value))]
+    words += asked.overrides
+    if "motion.targets" in asked.values:
+        words += ["--motion", asked.values["motion.targets"]]
+    return shlex.join(["python", "test.py", *words])
 
 
 def fill(plan: Plan, seeds: Sequence[Tables]) -> list[Cells]:
@@ -237,9 +252,3 @@ def _summary(rows: list[Row], like: Mapping[str, Any]) -> Result:
         rows, method=like["method"], engine=like["engine"], window_s=like["window_s"], seed=like["seed"],
         data=like["data"], cost=like["cost"], motion=like.get("motion"),
     )  # fmt: skip
-
-
-def _parse(words: Sequence[str]) -> argparse.Namespace:
-    parser = argparse.ArgumentParser()
-    request.add_arguments(parser)
-    return parser.parse_intermixed_args(list(words))

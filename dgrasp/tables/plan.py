@@ -8,6 +8,7 @@ from typing import Any
 
 from dgrasp.eval.paper import MOTION_OBJECTS, paper_tables
 from dgrasp.labels.splits import UNSEEN
+from dgrasp.methods import FlatRl, LearnedMotion
 from dgrasp.objects.names import YCB_NAMES
 
 GRASP_METRICS = ("success", "sim_dist_mm_per_step", "interpenetration_shell_cm3")
@@ -63,8 +64,8 @@ class Trained:
 
 @dataclass(frozen=True)
 class Trial:
-    """One evaluation. method: "gt_pd", "gt_ik", "policy", "static_grasp", "flat_rl" or "learned_motion"; run: what it
-    takes its policy from; overrides: which labels and objects."""
+    """One evaluation. method: a name in `dgrasp.methods.METHODS`; run: what it takes its policy from; overrides: which
+    labels and objects."""
 
     method: str
     run: Trained | None
@@ -129,8 +130,8 @@ def _grasp() -> Plan:
 
 def _motion() -> Plan:
     paper, objects = paper_tables()["motion"], (f"labels.objects=[{', '.join(MOTION_OBJECTS)}]",)
-    flat = Trained("flat_rl", objects, "cfg/flat_rl.yaml")
-    learned = Trained("learned_motion", objects, "cfg/learned_motion.yaml", ALL_OBJECTS)
+    flat = Trained("flat_rl", objects, FlatRl.cfg)
+    learned = Trained("learned_motion", objects, LearnedMotion.cfg, ALL_OBJECTS)
     rows = (("flat_rl", "Flat-RL", Trial("flat_rl", flat, objects)),
             ("static_grasp", "Ours+static grasp", Trial("static_grasp", ALL_OBJECTS, objects)),
             ("learned_policy", "Ours+learned policy", Trial("learned_motion", learned, objects)),

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import argparse
 import contextlib
-import json
 import shlex
 import time
 from collections.abc import Callable, Sequence
@@ -12,16 +10,17 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from dgrasp import training
 from dgrasp.build import frozen_policy
-from dgrasp.commands import train
-from dgrasp.commands.runs import Run, read_run
 from dgrasp.config.experiment import Config, find_config, load_config
-from dgrasp.config.values import flat_keys
+from dgrasp.config.values import flat_keys, override
 from dgrasp.data import resolve
 from dgrasp.errors import DataError, DGraspError
 from dgrasp.files.atomic import write_atomic
 from dgrasp.files.paths import cfg_root
+from dgrasp.request import Asked
 from dgrasp.rl.run import checkpoint
+from dgrasp.rl.run.record import Run, read_run
 from dgrasp.tables.plan import ALL_OBJECTS, FAST, Plan, Trained, plans
 
 Say = Callable[[str], None]
@@ -51,14 +50,16 @@ class Trainings:
         """Where a training is, or will be."""
         return self.root / run.key
 
-    def words(self, run: Trained) -> list[str]:
-        """Arguments of train.py."""
+    def command(self, run: Trained) -> str:
+        """The command line that makes a training."""
         words = ["--cfg", str(run.cfg or self.cfg), "--run", str(self.run_dir(run)), *self.overrides, *run.overrides]
-        return words if run.policy is None else [*words, _motion_policy(self.policy_of(run.policy))]
+        if run.policy is not None:
+            words.append(_motion_policy(self.policy_of(run.policy)))
+        return shlex.join(["python", "train.py", *words])
 
-    def test_words(self, run: Trained) -> list[str]:
-        """Arguments of test.py that name a run's policy."""
-        return ["--policy", str(self.policy)] if self.stands_in(run) else ["--run", str(self.run_dir(run))]
+    def asked(self, run: Trained) -> Asked:
+        """What names a run's policy to an evaluation."""
+        return Asked(policy=self.policy) if self.stands_in(run) else Asked(run=self.run_dir(run))
 
     def policy_of(self, run: Trained) -> Path:
         """The file of a run's policy as it is now; `DataError` where there is none."""
@@ -86,7 +87,7 @@ class Trainings:
             if read_run(self.run_dir(run)).state == "running":
                 return f"{self.run_dir(run)} is being trained and has no checkpoint yet"
             return shlex.join(["python", "train.py", "--resume", str(self.run_dir(run))])
-        return shlex.join(["python", "train.py", *self.words(run)])
+        return self.command(run)
 
     def about(self, run: Trained) -> list[str]:
         """How far a training came, and what differs from the one that its row asks for."""
@@ -143,10 +144,10 @@ class Trainings:
                 if begins and run.policy is not None:
                     self._train_with_own_grasp(run, self.policy_of(run.policy), limit)
                 elif begins:
-                    train.main(_parse([*self.words(run), limit]))
+                    training.begin(self._config(run, limit), self.run_dir(run))
                 else:
-                    length = [f"ppo.{name}={json.dumps(value)}" for name, value in self._length(run).items()]
-                    train.main(_parse(["--resume", str(self.run_dir(run)), *self.own_grasp(run), *length, limit]))
+                    length = [override(f"ppo.{name}", value) for name, value in self._length(run).items()]
+                    training.resume(self.run_dir(run), [*self.own_grasp(run), *length, limit])
             except DGraspError as error:
                 # One table's data may lack what another's has, and a baseline refuse another recipe's policy.
                 self.say(f"{run.key}: {error}")
@@ -172,8 +173,8 @@ class Trainings:
         choice = resolve(self._config(run))
         print(choice.describe(), flush=True)
         config = self._config(run, _motion_policy(_copy(policy, folder)), limit)
-        train.start_run(folder, config, choice)
-        train.train(folder, config, choice)
+        training.start_run(folder, config, choice)
+        training.train(folder, config, choice)
 
     def _config(self, run: Trained, *more: str) -> Config:
         """What a run is, or would be, trained with here."""
@@ -223,7 +224,7 @@ def needed(chosen: Sequence[Plan]) -> list[Trained]:
 
 
 def _motion_policy(file: Path) -> str:
-    return f"motion.policy={json.dumps(str(file))}"
+    return override("motion.policy", str(file))
 
 
 def _copy(policy: Path, folder: Path) -> Path:
@@ -234,9 +235,3 @@ def _copy(policy: Path, folder: Path) -> Path:
         raise DataError(f"{policy}: cannot read the policy ({error.strerror or error})") from None
     write_atomic(copy, content)
     return copy
-
-
-def _parse(words: Sequence[str]) -> argparse.Namespace:
-    parser = argparse.ArgumentParser()
-    train.add_arguments(parser)
-    return parser.parse_intermixed_args(list(words))

@@ -40,6 +40,11 @@ def record(
     )
 
 
+def standing(pose: Any, steps: int) -> Array:
+    """(T, 4, 4): a pose (4, 4) that stays as it is for so many steps."""
+    return np.tile(np.asarray(pose, dtype=float), (steps, 1, 1))
+
+
 def at(height: Any) -> Array:
     """Positions (T, 3) at the heights `height`."""
     height = np.asarray(height, dtype=float)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from dgrasp.config.experiment import Config, make_config
 from dgrasp.eval import evaluator
 from dgrasp.eval.evaluator import UNSTABLE, evaluate, evaluate_labels
 from dgrasp.eval.metrics import success
@@ -31,10 +32,15 @@ def pool():
     made.close()
 
 
+def windowed(pool: SerialPool, window_s: float) -> Config:
+    """The pool's config with another window."""
+    return make_config({**pool.env.config.model_dump(), "eval": {"window_s": window_s}})
+
+
 def test_the_table_goes_after_the_grasp_and_an_open_hand_drops_the_object(pool):
     config = pool.env.config
     said = []
-    records, cost = evaluate(pool, Still(), config, 0.7, progress=lambda done, total: said.append((done, total)))
+    records, cost = evaluate(pool, Still(), windowed(pool, 0.7), lambda done, total: said.append((done, total)))
     steps = 8 + round(0.7 / config.control_period)
     assert said[-1] == (steps, steps) and cost["control_steps"] == 2 * steps and 0 < cost["physics_share"] < 1
     for record in records:
@@ -47,7 +53,7 @@ def test_the_table_goes_after_the_grasp_and_an_open_hand_drops_the_object(pool):
 
 
 def test_the_pd_baseline_starts_in_the_labels_pose_without_a_table(pool):
-    records, _ = evaluate(pool, PdBaseline(), pool.env.config, 0.1)
+    records, _ = evaluate(pool, PdBaseline(), windowed(pool, 0.1))
     label = pool.labels[1]
     assert records[1].window_start == 0
     # The wrist, which is to carry the object's weight, rises until the object does weigh on it.
@@ -70,7 +76,7 @@ def test_an_explosion_cuts_the_record_and_is_a_failure(pool, monkeypatch):
             gc[20] = np.nan
 
     monkeypatch.setattr(scene, "read", broken)
-    records, _ = evaluate(pool, Still(), pool.env.config, 0.1)
+    records, _ = evaluate(pool, Still(), windowed(pool, 0.1))
     assert records[0].terminated == UNSTABLE and len(records[0].gc) == 4 and np.isfinite(records[0].gc).all()
     assert not success(records[0], 0.1) and records[1].terminated == ""
     (event,) = pool.drain_events()

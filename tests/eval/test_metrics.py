@@ -154,9 +154,17 @@ def test_broken_states_of_an_episode_that_did_not_end_are_an_error() -> None:
 
 
 def targeted(T_WO: Array, T_WG: Array, window_start: int = 0) -> EpisodeRecord:
+    """An episode with the object's poses and its target: (T, 4, 4), or (4, 4) for one that stands."""
     made = record(np.zeros((len(T_WO), 3)), window_start=window_start)
-    made.T_WO, made.target_T_WO = T_WO, T_WG
-    return made
+    return replace(made, T_WO=T_WO, T_WG=np.broadcast_to(T_WG, T_WO.shape))
+
+
+def test_a_record_has_a_target_for_each_step() -> None:
+    made = record(np.zeros((3, 3)))
+    assert replace(made, T_WG=np.tile(np.eye(4), (3, 1, 1))).T_WG is not None
+    for wrong in (np.eye(4), np.tile(np.eye(4), (4, 1, 1)), np.zeros((3, 3))):
+        with pytest.raises(ValueError, match=r"T_WG has shape .*; expected \(3, 4, 4\)"):
+            replace(made, T_WG=wrong)
 
 
 def turned(axis: str, angles: Any) -> Array:

@@ -9,11 +9,11 @@ import pytest
 
 from dgrasp.errors import ConfigError, DataError
 from dgrasp.eval import motion as experiment
-from dgrasp.eval.motion import ON_FLOOR, check_method, motion_row, run_motions, until_floor
+from dgrasp.eval.motion import ON_FLOOR, check_moves, motion_row, run_motions, until_floor
 from dgrasp.eval.output import table_cells, title
 from dgrasp.eval.paper import MOTION_OBJECTS, motion_column
 from dgrasp.eval.summary import summarise
-from dgrasp.methods import BASELINES, PdBaseline
+from dgrasp.methods import METHODS, PdBaseline
 from dgrasp.methods.static_grasp import StaticGrasp
 from dgrasp.motion.targets import TargetSet
 from dgrasp.types import EpisodeRecord
@@ -37,7 +37,7 @@ def moved(height: list[float], start: int = 1, **changes: object) -> EpisodeReco
     """An episode whose target is at a height of 1 m, a quarter turn away."""
     made = record(at(height), window_start=start, contacts=np.ones((len(height), 16)))
     goal = transform(np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]]), np.array([0.0, 0, 1]))
-    return replace(made, target_T_WO=np.tile(goal, (len(height), 1, 1)), **changes)
+    return replace(made, T_WG=np.tile(goal, (len(height), 1, 1)), **changes)
 
 
 def test_a_row_has_the_last_errors_and_whether_it_was_carried() -> None:
@@ -53,7 +53,7 @@ def test_a_row_has_the_last_errors_and_whether_it_was_carried() -> None:
 
 def test_a_fall_to_the_floor_ends_the_episode_there() -> None:
     fallen = until_floor(moved([0.5, 0.4, -0.1, -0.9]))
-    assert len(fallen.T_WO) == len(fallen.gc) == len(fallen.target_T_WO) == 3 and fallen.terminated == ON_FLOOR
+    assert len(fallen.T_WO) == len(fallen.gc) == len(fallen.T_WG) == 3 and fallen.terminated == ON_FLOOR
     row = motion_row(fallen, 0, follows=False)
     assert row["mpe_m"] == pytest.approx(1.1) and not row["carried"] and row["terminated"] == ON_FLOOR
     held = moved([0.5, 0.4])
@@ -79,8 +79,8 @@ def test_grasps_that_fail_the_stability_test_are_left_out(monkeypatch: pytest.Mo
     test = max(1, round(0.1 / spec.config.control_period))
     assert said[-1] == (test + 8, test + 8) and motions.cost["control_steps"] == 3 * test + 2 * 8
     for r, target in zip(motions.records, motions.targets, strict=True):
-        assert r.target_T_WO is not None and len(r.target_T_WO) == 4 and r.window_start == 0
-        assert r.target_T_WO[-1, 2, 3] == pytest.approx(r.label.T_WO[2, 3] + 0.1 * (1 + target))
+        assert r.T_WG is not None and len(r.T_WG) == 4 and r.window_start == 0
+        assert r.T_WG[-1, 2, 3] == pytest.approx(r.label.T_WO[2, 3] + 0.1 * (1 + target))
 
 
 def test_nothing_to_move_is_an_error() -> None:
@@ -100,9 +100,9 @@ def test_a_path_is_followed_to_its_end_after_the_grasp() -> None:
     motions = run_motions(spec, Still(), targets(1, poses=6))
     (made,) = motions.records
     assert motions.steps == 6 and made.window_start == 3 and len(made.gc) == 9 and motions.poses_per_target == 6
-    assert made.target_T_WO is not None
+    assert made.T_WG is not None
     # Until the motion begins the target is where the object started.
-    assert np.allclose(made.target_T_WO[2, :3, 3], made.label.start.T_WO[:3, 3])  # type: ignore[union-attr]
+    assert np.allclose(made.T_WG[2, :3, 3], made.label.start.T_WO[:3, 3])  # type: ignore[union-attr]
 
 
 def test_the_same_in_processes_and_in_one() -> None:
@@ -110,7 +110,7 @@ def test_the_same_in_processes_and_in_one() -> None:
     for kind in ("serial", "process"):
         spec = make_spec(3, [*SHORT, "motion.stable_alone=false", f"pool.kind={kind}", "pool.workers=2"])
         motions = run_motions(spec, StaticGrasp(), targets(3))
-        heights.append([np.concatenate([r.gc.ravel(), r.T_WO.ravel(), r.target_T_WO.ravel()])  # type: ignore[union-attr]
+        heights.append([np.concatenate([r.gc.ravel(), r.T_WO.ravel(), r.T_WG.ravel()])  # type: ignore[union-attr]
                         for r in motions.records])
     assert np.array_equal(*heights)
 
@@ -140,7 +140,7 @@ def test_beside_the_papers_numbers() -> None:
 
 
 def test_what_can_move_objects() -> None:
-    assert isinstance(BASELINES["static_grasp"](), StaticGrasp)
-    check_method(StaticGrasp())
+    assert METHODS["static_grasp"] is StaticGrasp
+    check_moves(StaticGrasp())
     with pytest.raises(ConfigError, match="gt_pd holds a pose"):
-        check_method(PdBaseline())
+        check_moves(PdBaseline())

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import json
 import subprocess
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,7 @@ from dgrasp.errors import DataError
 from dgrasp.eval import summary
 from dgrasp.eval.paper import paper_column
 from dgrasp.eval.summary import Result, code_version, label_row, summarise
-from tests.eval.records import DT, at, label, record
+from tests.eval.records import DT, at, label, record, standing
 
 FREE = {"hand": "free", "labels": "free_train.npz", "source": "free", "split": "train", "comparable_with_paper": False}
 PAPER = {"hand": "mano_mean", "labels": "x.pkl", "source": "dexycb", "split": "train", "comparable_with_paper": True}
@@ -99,8 +100,9 @@ def test_records_become_rows() -> None:
 
 def test_a_target_of_the_object_adds_its_errors() -> None:
     moving = record(at([0.6, 0.6, 0.6]), of=label("025_mug"))
-    moving.target_T_WO = np.eye(4)
-    moving.target_T_WO[2, 3] = 0.5
+    pose = np.eye(4)
+    pose[2, 3] = 0.5
+    moving = replace(moving, T_WG=standing(pose, 3))
     values = label_row(moving, 3 * DT)
     assert values["mpe_m"] == pytest.approx(0.1) and values["geodesic_rad"] == 0.0
     assert "mpe_m" not in label_row(record(at([0.6, 0.6, 0.6])), 3 * DT)

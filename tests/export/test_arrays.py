@@ -19,13 +19,14 @@ from dgrasp.hand.mano.layout import mano_kinematics
 from dgrasp.hand.mano.pose import project_pose
 from dgrasp.hand.mano.skeleton import N_PARTS, PART_PARENT
 from dgrasp.hand.mano.skinning import axis_angle_rotations, euler_rotations
+from tests.eval.records import standing
 from tests.export.sequences import STEPS, episode, sequence
 from tests.hand.mano_file import write_mano
 from tests.scenes import free_hand
 
 
 def test_arrays_are_the_recorded_ones() -> None:
-    one = sequence(target_T_WO=np.eye(4))
+    one = sequence(T_WG=standing(np.eye(4), STEPS))
     arrays = sequence_arrays(one)
     assert arrays["joint_angles"] == pytest.approx(one.record.gc[:, 6:])
     assert arrays["wrist_position"][0] == pytest.approx([0.5, 0.1, 0.7])

@@ -12,7 +12,7 @@ from dgrasp.cli import run_command
 from dgrasp.eval.failures import report
 from dgrasp.eval.summary import label_row
 from dgrasp.export.sequence import read_sequence, write_folder
-from tests.cli.folder import make_folder
+from tests.commands.folder import make_folder
 from tests.export.sequences import sequence
 
 

@@ -15,7 +15,7 @@ from dgrasp.export.glb import glb_bytes
 from dgrasp.hand.mano.skeleton import PARTS
 from dgrasp.types import Array
 from dgrasp.view.meshes import body_poses
-from tests.eval.records import DT
+from tests.eval.records import DT, standing
 from tests.export.sequences import START, STEPS, episode, meshes, sequence
 
 WIDTH = {"SCALAR": 1, "VEC3": 3, "VEC4": 4}
@@ -124,7 +124,7 @@ def test_another_reader_finds_the_same_scene() -> None:
 
 
 def test_a_motion_keeps_the_table_of_its_grasp() -> None:
-    document = Parsed(glb_bytes(sequence(target_T_WO=np.eye(4)))).document
+    document = Parsed(glb_bytes(sequence(T_WG=standing(np.eye(4), STEPS)))).document
     assert all(c["target"]["node"] != 17 for c in document["animations"][0]["channels"])
     assert document["asset"]["extras"]["table_gone_s"] is None
 

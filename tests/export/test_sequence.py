@@ -12,16 +12,17 @@ import pytest
 from dgrasp.errors import DataError
 from dgrasp.export.sequence import check_folder, read_sequence, sequence_files, write_folder, write_sequence
 from dgrasp.types import Array
-from tests.export.sequences import sequence
+from tests.eval.records import standing
+from tests.export.sequences import STEPS, sequence
 
 
 def test_reading_gives_back_what_was_written(tmp_path: Path) -> None:
-    written = sequence({"side": "right", "betas": [0.5]}, target_T_WO=np.eye(4), terminated="NaN")
+    written = sequence({"side": "right", "betas": [0.5]}, T_WG=standing(np.eye(4), STEPS), terminated="NaN")
     write_sequence(tmp_path / "a.npz", written)
     read = read_sequence(tmp_path / "a.npz")
     for name in ("gc", "T_WH", "T_WO", "joints_W", "contacts", "contact_impulse", "table_contact", "reward"):
         assert getattr(read.record, name) == pytest.approx(getattr(written.record, name), abs=1e-7), name
-    assert read.record.target_T_WO == pytest.approx(np.eye(4))
+    assert read.record.T_WG is not None and np.array_equal(read.record.T_WG, standing(np.eye(4), STEPS))
     assert (read.record.window_start, read.record.dt, read.record.terminated) == (3, written.record.dt, "NaN")
     for name in ("object_id", "hand", "source", "index", "on_table"):
         assert getattr(read.record.label, name) == getattr(written.record.label, name)
@@ -30,6 +31,18 @@ def test_reading_gives_back_what_was_written(tmp_path: Path) -> None:
     pairs = zip((*read.meshes.hand, read.meshes.object), (*written.meshes.hand, written.meshes.object), strict=True)
     for got, given in pairs:
         assert got.vertices == pytest.approx(given.vertices, abs=1e-7) and got.faces.tolist() == given.faces.tolist()
+
+
+def test_a_file_may_hold_one_pose_for_a_target_that_stands(tmp_path: Path) -> None:
+    pose = np.eye(4)
+    pose[2, 3] = 0.75
+    write_sequence(tmp_path / "a.npz", sequence(T_WG=standing(np.eye(4), STEPS)))
+    with np.load(tmp_path / "a.npz") as archive:
+        assert archive["target_T_WO"].shape == (STEPS, 4, 4)
+        members = {**archive, "target_T_WO": pose.astype(np.float32)}
+    np.savez_compressed(tmp_path / "b.npz", **members)
+    T_WG = read_sequence(tmp_path / "b.npz").record.T_WG
+    assert T_WG is not None and np.array_equal(T_WG, standing(pose, STEPS))
 
 
 def test_a_folder_has_a_file_for_each_and_is_never_mixed_up(tmp_path: Path) -> None:

@@ -16,7 +16,7 @@ from dgrasp.data import resolve
 from dgrasp.hand.mano.layout import MANO_NAMES
 from dgrasp.labels.formats.native import write_native
 from dgrasp.objects.store import StoredObject
-from tests.cli.folder import make_folder
+from tests.commands.folder import make_folder
 from tests.objects.meshes import box, save
 from tests.scenes import free_hand, make_label
 

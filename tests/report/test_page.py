@@ -142,7 +142,7 @@ def test_a_simulation_that_broke_at_once_has_no_replay(tmp_path: Path) -> None:
 
 
 def test_a_report_of_motions_has_their_errors_and_no_window() -> None:
-    moved = [episode(label=record.label, target_T_WO=record.T_WO) for record in records()]
+    moved = [episode(label=record.label, T_WG=record.T_WO) for record in records()]
     rows = [{"object": r.label.object_id, "index": r.label.index, "target": 0, "mpe_m": 0.01 * k, "geodesic_rad": 0.1,
              "carried": k < 3} for k, r in enumerate(moved)]
     result = summarise(rows, method="policy", engine="pybullet", window_s=5.0, seed=1, data=FREE, cost=COST)

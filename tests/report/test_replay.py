@@ -13,7 +13,7 @@ from dgrasp.report import replay
 from dgrasp.types import Array
 from dgrasp.view.meshes import body_poses
 from raisim_like.rotations import matrix_from_quaternion
-from tests.eval.records import DT
+from tests.eval.records import DT, standing
 from tests.export.sequences import STEPS, episode, meshes
 from tests.report.episodes import SUGAR, drawn, evaluated, records
 
@@ -70,7 +70,7 @@ def test_unpacking_gives_back_meshes_and_poses() -> None:
 def test_a_target_is_one_more_body() -> None:
     target = np.eye(4)
     target[:3, 3] = [0.4, 0.1, 0.9]
-    (one,) = packed(target_T_WO=target)["replays"]
+    (one,) = packed(T_WG=standing(target, STEPS))["replays"]
     assert one["stays"] and not packed()["replays"][0]["stays"]
     assert one["bodies"] == 18 and packed()["replays"][0]["bodies"] == 17
     places = (np.array(one["lo"]) + one["step"] * numbers(one["p"], "<u2", 3)).reshape(STEPS, 18, 3)

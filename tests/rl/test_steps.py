@@ -8,6 +8,8 @@ from pathlib import Path
 
 from dgrasp.config.experiment import load_config
 from dgrasp.rl.collect import Actor, Trajectories
+from dgrasp.rl.run.log import PLAN_NAME
+from dgrasp.rl.run.record import read_run
 from dgrasp.rl.runner import Runner
 from tests.rl.toy import ToyEnv, assert_same, last, rows_of, run, toy_config
 
@@ -22,6 +24,12 @@ def test_control_steps_are_limited(tmp_path: Path) -> None:
     assert last(tmp_path / "a").epoch == 4
     run(tmp_path / "b", toy_config(epochs=9, max_steps=1))
     assert last(tmp_path / "b").epoch == 1
+    # What lists runs knows of it, from what the learner planned or, where that is lost, from the config.
+    for name, epochs in (("a", 4), ("b", 1)):
+        assert read_run(tmp_path / name).epochs == epochs and read_run(tmp_path / name).complete
+        (tmp_path / name / PLAN_NAME).unlink()
+        (tmp_path / name / "data.json").write_text('{"n_labels": 8}')
+        assert read_run(tmp_path / name).epochs == epochs
 
 
 def test_control_steps_count_what_was_made_before_a_resume_with_other_epochs(tmp_path: Path) -> None:

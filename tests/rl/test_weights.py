@@ -20,7 +20,7 @@ from dgrasp.rl.networks import ActorCritic
 from dgrasp.rl.run.checkpoint import Checkpoint, policy_of
 from dgrasp.rl.run.policies import read_policy
 from dgrasp.rl.run.weights import read_weights, write_weights
-from tests.cli.folder import make_folder
+from tests.commands.folder import make_folder
 from tests.labels.test_fuzz import mutate
 from tests.tables.test_tables import SHORT
 

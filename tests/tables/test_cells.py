@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from dgrasp import request
 from dgrasp.config.experiment import find_config, load_config
+from dgrasp.request import Asked, config_of
 from dgrasp.tables import fill as fill_module
 from dgrasp.tables.fill import Cells
 from dgrasp.tables.plan import plans
@@ -53,9 +54,9 @@ def test_what_every_row_asks_for_is_no_change() -> None:
     for plan in [*plans("all"), *plans("recipe")]:
         for trial in (trial for line in plan.lines for trial in line.trials):
             cfg = "cfg/dexycb.yaml" if trial.run is None else trial.run.cfg or "cfg/dexycb.yaml"
-            words = ["--cfg", str(find_config(Path(cfg))), "--baseline", "gt_pd", *trial.overrides]
-            config = request.config_of(fill_module._parse(words))
+            asked = Asked(cfg=Path(cfg), overrides=trial.overrides)
+            config = config_of(asked)
             assert fill_module._changed(trial, config, plan.name == "motion") == [], (plan.name, trial)
-            moved = request.config_of(fill_module._parse([*words, "motion.steps=7"]))
+            moved = config_of(replace(asked, overrides=[*trial.overrides, "motion.steps=7"]))
             expected = ["motion.steps=7"] if plan.name == "motion" else []
             assert fill_module._changed(trial, moved, plan.name == "motion") == expected

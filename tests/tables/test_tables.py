@@ -11,8 +11,8 @@ from typing import Any
 import pytest
 
 from dgrasp import evaluation as evaluate
+from dgrasp import training
 from dgrasp.cli import run_command
-from dgrasp.commands import train
 from dgrasp.config.experiment import find_config, load_config
 from dgrasp.rl.run import checkpoint
 from dgrasp.rl.run.log import write_description
@@ -21,7 +21,7 @@ from dgrasp.tables.fill import Cells, Found, fill
 from dgrasp.tables.plan import NAMES, Line, Plan, plans
 from dgrasp.tables.show import cells_of, header_of, remarks
 from dgrasp.tables.trainings import Trainings, needed
-from tests.cli.folder import make_folder
+from tests.commands.folder import make_folder
 
 SHORT = ["env.episode_steps=6", "env.grasp_steps=3", "physics.substeps=1", "ppo.minibatches=1", "ppo.update_epochs=1",
          "eval.window_s=0.06", "eval.gif=false", "eval.interpenetration=false", "ppo.hidden=[8]", "ppo.epochs=1",
@@ -116,7 +116,7 @@ def test_a_budget_trains_what_is_missing_and_an_interruption_goes_on(
     folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(plan_module, "ABLATION_OBJECTS", ("004_sugar_box",))
-    began, real = [], train.train
+    began, real = [], training.train
 
     def interrupted(run_dir: Path, *rest: Any, **words: Any) -> None:
         began.append(run_dir.name)
@@ -124,7 +124,7 @@ def test_a_budget_trains_what_is_missing_and_an_interruption_goes_on(
             raise KeyboardInterrupt
         real(run_dir, *rest, **words)
 
-    monkeypatch.setattr(train, "train", interrupted)
+    monkeypatch.setattr(training, "train", interrupted)
     command = ["--table", "ablation", "--data", str(folder), "--runs", str(tmp_path), "--budget", "10", *SHORT]
     assert run_command("test", command) == 130
     rows = _table("ablation", folder, tmp_path, "--budget", "10")
@@ -209,7 +209,7 @@ def test_a_training_on_other_data_is_neither_evaluated_nor_resumed(
         raise AssertionError("resumed on other data")
 
     with monkeypatch.context() as patch:
-        patch.setattr(train, "train", refuse)
+        patch.setattr(training, "train", refuse)
         (row,) = _table("ablation", other, runs, "--budget", "10", endless)
     assert (row["values"], row["comparable_with_paper"], row["commands"]) == ({}, False, [])
     (reason,) = row["missing"]

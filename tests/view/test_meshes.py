@@ -12,6 +12,7 @@ from dgrasp.types import Array
 from dgrasp.view.camera import eye, viewpoint
 from dgrasp.view.meshes import PART_FACES, Mesh, blendable, body_poses, hand_meshes, light, merged, table_tops
 from raisim_like.rotations import matrix_from_euler, matrix_from_quaternion
+from tests.eval.records import standing
 from tests.export.sequences import STEPS, box, episode, meshes
 from tests.scenes import free_hand
 
@@ -102,7 +103,7 @@ def test_broken_steps_repeat_the_last_whole_one() -> None:
 def test_the_table_and_the_camera() -> None:
     record = episode()
     assert table_tops(record, 0.5, 0.25).tolist() == [0.5] * 3 + [0.25] * (STEPS - 3)
-    moved = replace(record, target_T_WO=np.eye(4))
+    moved = replace(record, T_WG=standing(np.eye(4), STEPS))
     assert table_tops(moved, 0.5, 0.25).tolist() == [0.5] * STEPS
     # A motion that begins in the label's pose has no table.
     assert table_tops(replace(moved, window_start=0), 0.5, 0.25).tolist() == [0.25] * STEPS

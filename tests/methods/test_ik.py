@@ -8,7 +8,7 @@ import pytest
 from dgrasp.env.goal import make_goal
 from dgrasp.geometry.intersection import Body, body
 from dgrasp.hand.mano.skeleton import KEYPOINTS, PARTS
-from dgrasp.methods import BASELINES, IkBaseline
+from dgrasp.methods import METHODS, IkBaseline
 from dgrasp.methods.ik import closest_points, contact_keypoints, correct_labels
 from dgrasp.types import GraspLabel
 from raisim_like.rotations import matrix_from_euler, transform
@@ -36,7 +36,7 @@ def label_at(depth: float, index: int = 0) -> GraspLabel:
 
 
 def test_it_is_a_baseline_of_its_name() -> None:
-    assert BASELINES["gt_ik"] is IkBaseline and IkBaseline.mode == "label"
+    assert METHODS["gt_ik"] is IkBaseline and IkBaseline.mode == "label"
     assert not IkBaseline().act(np.zeros((2, 279))).any()
 
 

@@ -10,7 +10,7 @@ import pytest
 
 from dgrasp.cli import run_command
 from dgrasp.rl.run.checkpoint import latest
-from tests.cli.folder import make_folder
+from tests.commands.folder import make_folder
 
 SHORT = ["env.episode_steps=6", "env.grasp_steps=3", "eval.window_s=0.1", "motion.steps=3", "pool.kind=serial",
          "physics.substeps=2", "ppo.hidden=[8]", "eval.every=2", "eval.gif=false", "labels.objects=[]"]  # fmt: skip

@@ -11,8 +11,9 @@ from dgrasp.errors import ConfigError, DataError
 from dgrasp.eval.paper import MOTION_OBJECTS, motion_column
 from dgrasp.methods import method_of
 from dgrasp.methods.flat_rl import FlatRl
-from dgrasp.methods.learned_motion import LearnedMotion, grasping_policy
-from dgrasp.methods.policy import FrozenGrasp, PolicyMethod
+from dgrasp.methods.frozen import FrozenGrasp, grasping_policy
+from dgrasp.methods.learned_motion import LearnedMotion
+from dgrasp.methods.policy import PolicyMethod
 from dgrasp.rl.networks import ActorCritic, Policy
 from dgrasp.rl.run.policies import SavedPolicy
 from tests.reference import reference_or_skip

@@ -14,11 +14,11 @@ import pytest
 import torch
 
 from dgrasp.cli import main, run_command
-from dgrasp.commands.runs import read_run
 from dgrasp.files.paths import shipped_root
 from dgrasp.rl.run import checkpoint
 from dgrasp.rl.run.lock import is_running, only_run
-from tests.cli.folder import make_folder
+from dgrasp.rl.run.record import read_run
+from tests.commands.folder import make_folder
 
 SHORT = ["env.episode_steps=6", "env.grasp_steps=3", "physics.substeps=1", "ppo.minibatches=1", "ppo.update_epochs=1",
          "eval.window_s=0.06", "eval.gif=false", "checkpoint.every=1", "ppo.hidden=[8]"]  # fmt: skip

@@ -9,22 +9,20 @@ import signal
 import subprocess
 import sys
 import time
-from pathlib import Path
-from types import SimpleNamespace
 
 import pytest
 import torch
 
 from dgrasp.cli import main, run_command
 from dgrasp.commands.test import write_gif
-from dgrasp.commands.train import _gif, next_run, start_run
 from dgrasp.config.experiment import load_config, make_config
 from dgrasp.data import resolve
-from dgrasp.errors import ConfigError, DataError
+from dgrasp.errors import DataError
 from dgrasp.files.paths import shipped_root
 from dgrasp.rl.ppo import Ppo
 from dgrasp.rl.run import checkpoint
-from tests.cli.folder import make_folder
+from dgrasp.training import start_run
+from tests.commands.folder import make_folder
 
 SHORT = [
     "env.episode_steps=6", "env.grasp_steps=3", "eval.window_s=0.1", "eval.every=2", "checkpoint.every=1",
@@ -117,11 +115,6 @@ def test_a_gif_of_nothing_is_refused(tmp_path):
     assert not (tmp_path / "g.gif").exists()
 
 
-def test_an_evaluation_in_training_shows_what_there_is_to_show():
-    spec = SimpleNamespace(config=make_config({}, "test"))
-    assert _gif([SimpleNamespace(gc=())], 1, spec) == {}
-
-
 def test_a_run_is_not_tested_with_other_senses(trained, folder, capsys):
     words = ["--run", str(trained), "--data", str(folder), "env.scaled_features=true"]
     assert run_command("test", words) == 2
@@ -154,21 +147,6 @@ def test_bad_input_is_one_message_and_exit_2(folder, tmp_path, capsys, words, sa
     message = capsys.readouterr().err
     assert message.startswith("error: ") and said in message and "Traceback" not in message
     assert not run.exists()
-
-
-def test_runs_that_begin_together_have_a_directory_each(folder, tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-    assert [next_run("a"), next_run("a"), next_run("b")] == [Path("runs/a_1"), Path("runs/a_2"), Path("runs/b_1")]
-    assert [next_run("a[1]"), next_run("a[1]"), next_run("of/a"), next_run("of/a")] == [
-        Path("runs/a[1]_1"), Path("runs/a[1]_2"), Path("runs/of/a_1"), Path("runs/of/a_2")
-    ]  # fmt: skip
-    config = make_config({"data": str(folder)})
-    start_run(Path("mine"), config, resolve(config), new=True)
-    # Another process that found the folder empty a moment before.
-    before = Path("mine/config.yaml").read_bytes()
-    with pytest.raises(ConfigError, match="mine exists already"):
-        start_run(Path("mine"), make_config({"data": str(folder), "seed": 2}), resolve(config), new=True)
-    assert Path("mine/config.yaml").read_bytes() == before
 
 
 def test_what_a_run_is_resumed_with_is_written_down_from_its_first_epoch_on(folder, tmp_path, monkeypatch):

@@ -7,7 +7,7 @@ import json
 import pytest
 
 from dgrasp.cli import run_command
-from tests.cli.folder import make_folder
+from tests.commands.folder import make_folder
 
 SHORT = ["env.episode_steps=6", "env.grasp_steps=3", "eval.window_s=0.1", "motion.steps=3", "pool.kind=serial",
          "motion.stable_alone=false", "physics.substeps=2"]  # fmt: skip

@@ -1,0 +1,73 @@
+"""The frozen grasping policy of the tasks with a target: where it is from, and the grasps that it makes stable."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+
+from dgrasp.config.experiment import Config
+from dgrasp.config.sections import SENSES, EnvConfig
+from dgrasp.env.features import FeatureLayer
+from dgrasp.errors import ConfigError
+from dgrasp.hand.layout import HandLayout
+from dgrasp.methods.method import Method
+from dgrasp.pool import PoolSpec
+from dgrasp.rl.collect import Actor
+from dgrasp.rl.networks import Policy
+from dgrasp.rl.run.policies import SavedPolicy, read_policy
+from dgrasp.types import Array
+
+
+class FrozenGrasp(Method):
+    """The frozen policy, as the environments of task "motion" have it."""
+
+    name = "policy"
+
+    def __init__(self, actor: Actor) -> None:
+        self._actor = actor
+
+    def act(self, observation: Array) -> Array:
+        """Actions (N, A), the means of the policy."""
+        actions = np.empty((len(observation), len(self._actor.std)), np.float32)
+        self._actor.means(observation, actions)
+        return actions
+
+
+def frozen_grasp(spec: PoolSpec) -> tuple[FrozenGrasp, PoolSpec]:
+    """The frozen policy of a pool, and the pool of task "grasp" in which its grasps are tested."""
+    assert spec.grasp is not None
+    env = spec.config.env.model_copy(update={"task": "grasp"})
+    return FrozenGrasp(spec.grasp), dataclasses.replace(spec, config=spec.config.model_copy(update={"env": env}))
+
+
+def grasping_policy(config: Config, hand: HandLayout | None = None) -> Policy:
+    """The policy of `motion.policy`; `ConfigError` if it is not named, or would not see and do what it learned.
+
+    hand: the hand that it is to move, where that is known already.
+    """
+    if config.motion.policy is None:
+        raise ConfigError("motion.policy: expected the checkpoint of a grasping policy, such as "
+                          "motion.policy=runs/dexycb_1/best.pt or one of the authors'")
+    path = Path(config.motion.policy).expanduser()
+    saved = read_policy(path)
+    if saved.task != "grasp":
+        raise ConfigError(f"motion.policy: {path} is a policy of task {saved.task}; expected one of task grasp")
+    env = config.env.model_copy(update={"task": "grasp", "critic_features": False})
+    _check_env(saved, env, path)
+    expected = saved.policy.actor_size if hand is None else FeatureLayer(env, hand).size
+    if saved.policy.actor_size != expected:
+        raise ConfigError(f"motion.policy: {path} sees {saved.policy.actor_size} numbers; expected the {expected} of "
+                          f"env.features={env.features}")
+    return saved.policy
+
+
+def _check_env(saved: SavedPolicy, env: EnvConfig, path: Path) -> None:
+    # The authors' policies were trained with what the defaults are.
+    there = saved.env or EnvConfig().model_dump(mode="json")
+    here = env.model_dump(mode="json")
+    differ = [key for key in SENSES if key in there and there[key] != here[key]]
+    if differ:
+        listed = "; ".join(f"env.{key} is {there[key]!r} there, {here[key]!r} here" for key in differ)
+        raise ConfigError(f"motion.policy: {path} was trained with another config ({listed}); set these keys as there")

@@ -1,0 +1,100 @@
+"""A run directory as it is now: its config, its data, and how far its training is."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import math
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+from dgrasp.config.experiment import Config, load_config
+from dgrasp.errors import ConfigError
+from dgrasp.rl.run.checkpoint import saved
+from dgrasp.rl.run.lock import is_running
+from dgrasp.rl.run.log import CSV_NAME, read_plan
+
+
+@dataclass(frozen=True)
+class Run:
+    """A run directory as it is now; `rows` are those of its progress.csv, `plan` what the learner was to do."""
+
+    path: Path
+    config: Config
+    data: dict[str, Any]
+    rows: list[dict[str, str]]
+    plan: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def state(self) -> str:
+        """running, finished, stopped (it can be resumed), or new."""
+        if is_running(self.path):
+            return "running"
+        if not self.rows or not saved(self.path):
+            return "new"
+        out_of_time = self.number("seconds") >= 60.0 * (self.config.ppo.max_minutes or float("inf"))
+        return "finished" if self.complete or out_of_time else "stopped"
+
+    @property
+    def complete(self) -> bool:
+        """Whether all epochs are made that `ppo.epochs` and `ppo.max_steps` allow, whatever the time they took."""
+        return self.number("epoch") >= self.epochs
+
+    @property
+    def epochs(self) -> int:
+        """How many epochs `ppo.epochs` and `ppo.max_steps` allow."""
+        ppo, log = self.config.ppo, self.plan
+        if (ppo.epochs, ppo.max_steps) == (log.get("epochs"), log.get("max_steps")):
+            return int(log["last_epoch"])
+        envs = log.get("environments", self.data.get("n_labels"))
+        if not self.rows or not isinstance(envs, int):
+            return ppo.epochs
+        return self.config.last_epoch(envs, int(self.number("epoch")), int(self.number("control_steps")))
+
+    @property
+    def curve(self) -> list[tuple[int, float]]:
+        """(control steps, success) of each evaluation."""
+        return [(int(row["control_steps"]), float(row["success"])) for row in self.rows if row.get("success")]
+
+    @property
+    def best(self) -> float | None:
+        """The best evaluation's success, or None before the first."""
+        return max((success for _, success in self.curve), default=None)
+
+    def until(self, epoch: int) -> Run:
+        """The run as it was when an epoch was complete."""
+        return replace(self, rows=[row for row in self.rows if int(row["epoch"]) <= epoch])
+
+    def number(self, column: str) -> float:
+        """The last value in a column of progress.csv; 0 where there is none."""
+        return float(self.rows[-1].get(column) or 0.0) if self.rows else 0.0
+
+
+def read_run(path: Path) -> Run:
+    """A run directory; `ConfigError` if train.py did not make it."""
+    if not (path / "config.yaml").is_file():
+        raise ConfigError(f"{path}: not a run directory (no config.yaml); expected one that train.py made")
+    data: Any = {}
+    if (path / "data.json").is_file():
+        try:
+            data = json.loads((path / "data.json").read_text(encoding="utf-8"))
+        except (OSError, ValueError) as error:
+            raise ConfigError(f"{path / 'data.json'}: not JSON ({error}); was it changed by hand?") from None
+    rows: list[dict[str, str]] = []
+    if (path / CSV_NAME).is_file():
+        # A power cut leaves NULs, an editor other things; such rows are not counted.
+        text = (path / CSV_NAME).read_text(encoding="utf-8", errors="replace").replace("\0", "")
+        rows = [row for row in csv.DictReader(io.StringIO(text, newline="")) if None not in row and _is_sound(row)]
+    return Run(path, load_config(path / "config.yaml"), data if isinstance(data, dict) else {}, rows, read_plan(path))
+
+
+def _is_sound(row: dict[str, str]) -> bool:
+    """Whether the columns that are read here hold numbers."""
+    try:
+        int(row["epoch"]), int(row["control_steps"])
+        numbers = [float(row["seconds"]), *(float(row.get(name) or 0.0) for name in ("core_hours", "success"))]
+        return all(map(math.isfinite, numbers))
+    except (KeyError, TypeError, ValueError):
+        return False
