@@ -81,7 +81,8 @@ class GraspEnv:
         self.hold = TrainingHold(env, self.s, n)
         self.alive = np.ones(n, bool)
         self.active = np.ones(n, bool)
-        """Environments that take part in this epoch (`labels.per_epoch`); the others rest as they are."""
+        """Environments that are simulated: those that take part in this epoch (`labels.per_epoch`) and were not told
+        to `rest`. The others stay as they are."""
         self._rows: Array | slice = slice(None)
         self._path: Array | None = None
         self._path_step = 0
@@ -215,6 +216,10 @@ class GraspEnv:
     @property
     def _training_hold(self) -> bool:
         return self.mode == "train" and self.hold.exists
+
+    def rest(self, which: Array) -> None:
+        """Stop simulating some environments (N,) bool until the next reset; they stay as they are."""
+        self.active &= ~which
 
     def remove_table(self) -> None:
         """Take the table away and hold the wrist where it is: the stability test begins."""

@@ -190,6 +190,23 @@ def test_test_mode_has_no_noise_and_no_end() -> None:
     env.close()
 
 
+def test_environments_that_are_told_to_rest_stay_as_they_are() -> None:
+    env, other = (make_env(2, overrides=QUICK) for _ in range(2))
+    env.reset(0, mode="test")
+    other.reset(0, mode="test")
+    env.step(actions(2, 0))
+    other.step(actions(2, 0))
+    env.rest(np.array([False, True]))
+    before = env.s.gc[1].copy(), env.s.object_pos_W[1].copy()
+    for t in range(1, 4):
+        assert np.array_equal(env.step(actions(2, t)).observation[0], other.step(actions(2, t)).observation[0])
+    assert np.array_equal(env.s.gc[1], before[0]) and np.array_equal(env.s.object_pos_W[1], before[1])
+    assert env.clock.tolist() == [4, 1]
+    assert np.array_equal(env.reset(0, mode="test"), other.reset(0, mode="test"))
+    env.close()
+    other.close()
+
+
 def test_an_object_that_nobody_holds_falls_when_the_table_goes(engine: str, targets: list[Array]) -> None:
     env = make_env(1, overrides=[f"engine={engine}"])
     env.reset(0, mode="test")
