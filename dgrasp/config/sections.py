@@ -230,7 +230,7 @@ class PoolConfig(Section):
 
     workers: null takes as many as there are cores. hang_s: seconds without a control step after which a
     worker is taken to hang, and is replaced. For "ray" alone: address of the cluster (auto, HOST:PORT; null starts
-    one on this machine); patience: an actor that takes this many times as long as the others is left behind.
+    one on this machine); patience: a worker that takes this many times as long as the others is left behind.
     """
 
     kind: Literal["process", "serial", "ray"] = "process"

@@ -19,9 +19,10 @@ from dgrasp.env.training_hold import TrainingHold
 from dgrasp.hand.mano.skeleton import ACTION_SIZES, N_DOF
 from dgrasp.hand.model import HandModel
 from dgrasp.objects.model import ObjectModel
+from dgrasp.rl.step import Step
 from dgrasp.scene.relations import Relations, relations
 from dgrasp.scene.scene import LOWERED_TOP, TABLE_TOP, Scene
-from dgrasp.scene.state import StepArrays, state_views, take
+from dgrasp.scene.state import state_views, take
 from dgrasp.scene.worlds import Worlds
 from dgrasp.types import Array, GraspGoal, GraspLabel, SceneState, StartPose
 
@@ -68,7 +69,7 @@ class GraspEnv:
         self.reward_terms = self.reward.names
         self.indices, self.total = self.indices or range(n), self.total or n
         self.s = state_views(n)
-        self.o = StepArrays.allocate(n, self.layer.size, len(self.reward.names))
+        self.o = Step.allocate(n, self.layer.size, len(self.reward.names))
         self.goal = make_goal(self.labels)
         self.starts = [start_pose(label, self.hand) for label in self.labels]
         self.worlds = Worlds(self.labels, self.hand, self.objects, self.config, self.make_scene, self.s)
@@ -163,7 +164,7 @@ class GraspEnv:
 
     # Step --------------------------------------------------------------------------------------
 
-    def step(self, actions: Array) -> StepArrays:
+    def step(self, actions: Array) -> Step:
         """One control step with residual actions (N, A)."""
         self._aim()
         self._aim_joints(actions)
@@ -185,7 +186,7 @@ class GraspEnv:
         self.o.truncated[:] = False
         if self.mode == "train":
             fallen = dropped & self.active & ~broken
-            self.o.terminated |= fallen
+            self.o.terminated[:] |= fallen
             self.o.truncated[:] = ~self.o.terminated & (self.clock >= self.episode_steps) & self.active
             ended = fallen | self.o.truncated
             if self.restarts and ended.any():
