@@ -1,10 +1,11 @@
-"""Names: no two classes of the packages have the same one."""
+"""One of each: no two classes of the packages have the same name, and the terms of use are written once."""
 
 from __future__ import annotations
 
 import ast
 from collections import defaultdict
 
+from dgrasp.files import licences
 from tests.imports import ROOT
 
 
@@ -17,3 +18,12 @@ def test_every_class_has_a_name_of_its_own() -> None:
                     places[node.name].append(path.relative_to(ROOT).as_posix())
     assert len(places) > 100
     assert {name: files for name, files in places.items() if len(files) > 1} == {}
+
+
+def test_the_terms_of_use_are_written_once() -> None:
+    files = sorted((ROOT / "dgrasp").rglob("*.py"))
+    for words in ("non-commercial", "CC BY-NC", "academic research only", '"MIT'):
+        holding = [path.relative_to(ROOT).as_posix() for path in files if words in path.read_text(encoding="utf-8")]
+        assert holding == ["dgrasp/files/licences.py"], words
+    assert licences.DEXYCB == "DexYCB CC BY-NC 4.0; derived from MANO: non-commercial research only, no redistribution"
+    assert licences.FREE_HAND == "MIT, as the project"

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from dgrasp.errors import DataError
+from dgrasp.files import licences
 from dgrasp.labels.formats import official
 from dgrasp.labels.formats.native import read_native_with_meta
 from dgrasp.labels.splits import object_set
@@ -28,8 +29,7 @@ RELEASE_FILES: dict[tuple[str, str], str] = {
 }
 """The label files of the authors' release, by source and split: those that the paper's tables are about."""
 
-_MANO_TERMS = "derived from MANO: non-commercial research only, no redistribution"
-_LICENCES = {"dexycb": f"DexYCB CC BY-NC 4.0; {_MANO_TERMS}"}
+_LICENCES = {"dexycb": licences.DEXYCB}
 
 
 @dataclass(frozen=True)
@@ -82,7 +82,7 @@ def load_labels(path: Path) -> LabelSet:
     if head.startswith(b"\x80"):
         labels = official.read_official(path)
         known = next((key for key, name in RELEASE_FILES.items() if name == path.name), None)
-        licence = _LICENCES.get(known[0] if known else "", _MANO_TERMS)
+        licence = _LICENCES.get(known[0] if known else "", licences.MANO)
         return LabelSet(labels, official.HAND, licence, path, sha256_of(path), known, known is not None)
     raise DataError(f"{path}: neither a joblib pickle nor a .npz file (it begins with {head!r}); expected a release's "
                     ".pkl or a .npz written by `dgrasp labels`")
