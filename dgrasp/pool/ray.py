@@ -215,42 +215,41 @@ class RayPool(SizedPool):
         self._begin()
         for w in list(self._late):
             del self._late[w]
-        self._take_step(lambda w: self._members[w].reset.remote(epoch, mode))
+        self._all(lambda w: self._members[w].reset.remote(epoch, mode))
         return self._out.observation
 
     def step(self, actions: Array) -> Step:
-        self._take_step(lambda w: self._members[w].step.remote(actions[self._rows[w]]))
+        self._all(lambda w: self._members[w].step.remote(actions[self._rows[w]]))
         return self._out
 
     def remove_table(self) -> None:
         self._all(lambda w: self._members[w].remove_table.remote())
 
     def begin_motion(self, path: Array, fingers: Fingers = "policy") -> None:
-        self._take_step(lambda w: self._members[w].begin_motion.remote(path[self._rows[w]], fingers))
+        self._all(lambda w: self._members[w].begin_motion.remote(path[self._rows[w]], fingers))
 
-    def _take_step(self, call: Callable[[int], Any]) -> None:
-        """Put what all workers return of a call into the pool's arrays."""
-        stepped: Stepped
-        for w, stepped in enumerate(self._all(call)):
-            rows = self._rows[w]
-            self._out.write(rows, stepped.step)
-            copy_state(state_views(len(range(self.num_envs)[rows]), stepped.state), self.state, rows)
+    def _all(self, call: Callable[[int], Any]) -> None:
+        """Take over what every worker returns of a call.
 
-    def _all(self, call: Callable[[int], Any]) -> list[Any]:
-        """Every worker's answer. Lost ones are replaced, and then `WorkerLost` says that they gave none."""
-        answers, got, lost = [call(w) for w in range(self._workers)], [], []
+        Lost workers are replaced, and then `WorkerLost` says that they returned nothing.
+        """
+        answers, lost = [call(w) for w in range(self._workers)], []
         for w, answer in enumerate(answers):
             try:
-                got.append(self._ray.get(answer, timeout=self._config.hang_s))
-                self._losses[w] = 0
+                stepped: Stepped = self._ray.get(answer, timeout=self._config.hang_s)
             except self._ray.exceptions.RayTaskError as error:
                 raise PoolError(f"worker {w} failed:\n{error}") from None
             except (self._ray.exceptions.RayError, TimeoutError) as error:
                 self._replace(w, "was lost in a test")
                 lost.append(f"worker {w}: {type(error).__name__}")
+                continue
+            self._losses[w] = 0
+            rows = self._rows[w]
+            self._out.write(rows, stepped.step)
+            copy_state(state_views(len(range(self.num_envs)[rows]), stepped.state), self.state, rows)
+            self._hear(w, stepped.told)
         if lost:
             raise WorkerLost("; ".join(lost))
-        return got
 
     def close(self) -> None:
         for member in self._members:

@@ -26,10 +26,11 @@ class Collected(NamedTuple):
 
 
 class Stepped(NamedTuple):
-    """What a worker returns of a step or a reset, for its environments; state: all arrays in one block."""
+    """What a worker returns of a step, a reset or a new phase, for its environments; state: all arrays in one block."""
 
     step: Step
     state: Array
+    told: Told
 
 
 class RayWorker:
@@ -67,8 +68,9 @@ class RayWorker:
         self.env.step(actions)
         return self._stepped()
 
-    def remove_table(self) -> None:
+    def remove_table(self) -> Stepped:
         self.env.remove_table()
+        return self._stepped()
 
     def begin_motion(self, path: Array, fingers: Fingers) -> Stepped:
         self.env.begin_motion(path, fingers)
@@ -76,4 +78,4 @@ class RayWorker:
 
     def _stepped(self) -> Stepped:
         copy_state(self.env.s, self._state, slice(None))
-        return Stepped(self.env.o, self._block)
+        return Stepped(self.env.o, self._block, self.tell())

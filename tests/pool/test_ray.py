@@ -80,6 +80,30 @@ def test_a_cluster_gives_what_one_process_gives(
     serial.close()
 
 
+def test_a_test_reports_unstable_simulations_and_the_time_in_the_engine(cluster: str) -> None:
+    """As the process pool does: from steps and phases of a test too, not from collections alone."""
+    serial, pool = SerialPool(make_spec(3, QUICK)), make_pool(make_spec(3, QUICK))
+    for one in (serial, pool):
+        one.reset(3, "test")
+        actions = np.zeros((3, 51), np.float32)
+        one.step(actions)
+        actions[1] = np.nan
+        assert one.step(actions).broken.tolist() == [False, True, False]
+        one.remove_table()
+        one.step(np.zeros((3, 51), np.float32))
+    (event,) = pool.drain_events()
+    assert [event] == serial.drain_events() and "env 1" in event and "step 2" in event
+    assert pool.drain_events() == []
+    timing = pool.timing()
+    assert 0.0 < timing["physics_s"] < timing["wall_s"] * timing["workers"] and 0.0 < timing["physics_share"] < 1.0
+    # Another reset counts anew, and twice nothing.
+    before = timing["physics_s"]
+    pool.reset(3, "test")
+    assert pool.timing()["physics_s"] < before
+    pool.close()
+    serial.close()
+
+
 def test_a_killed_worker_is_started_again_and_its_experience_dropped(cluster: str) -> None:
     pool = make_pool(make_spec(3, QUICK))
     reference = _collected(pool, 4)
