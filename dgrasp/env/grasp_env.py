@@ -174,6 +174,8 @@ class GraspEnv:
         self.steps_made += self.alive & self.active
         broken = self.worlds.exploded() & self.alive & self.active
         if broken.any():
+            # The last sound observation of these episodes is the one before this step.
+            self.o.final_observation[broken] = self.o.observation[broken]
             self._bury(np.flatnonzero(broken))
         self.worlds.derive(self._rows)
         np.divide(self.clock, self.episode_steps, out=self.s.episode_time)
@@ -181,7 +183,6 @@ class GraspEnv:
         self._pay(self._observe(self._rows))
         # A broken episode ends with nothing gained, and is already placed anew.
         self.o.reward[broken], self.o.reward_terms[broken] = 0.0, 0.0
-        self.o.final_observation[broken] = self.o.observation[broken]
         self.o.broken[:] = self.o.terminated[:] = broken
         self.o.truncated[:] = False
         if self.mode == "train":

@@ -18,8 +18,8 @@ class Step:
     """One control step of N environments. The next call overwrites the arrays, which may lie in shared memory.
 
     observation: (N, O) float32, where an episode ended already the first one of the next episode.
-    final_observation: (N, O) float32, the last observation of the episode that just ended; valid where
-        terminated or truncated.
+    final_observation: (N, O) float32, the last observation of the episode that just ended, where it broke the one
+        before the step that broke it; valid where terminated or truncated.
     reward: (N,) float32. reward_terms: (N, K) float32, weighted, in the order of `VecEnv.reward_terms`.
     terminated, truncated: (N,) bool; a truncated episode ran into its time limit.
     broken: (N,) bool, terminated because the simulation broke.
