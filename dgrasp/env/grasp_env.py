@@ -153,8 +153,9 @@ class GraspEnv:
             start = self.starts[i]
             if self.mode == "train":
                 start = with_noise(start, self.config.env.noise, self._rng[i])
-        top = LOWERED_TOP if self.mode == "label" else TABLE_TOP
-        self.worlds.place(i, start, top, self.control.kp_position, self.control.carries)
+        # In the label's pose the object is in the hand and weighs on the wrist; elsewhere it stands on the table.
+        held = self.mode == "label"
+        self.worlds.place(i, start, LOWERED_TOP if held else TABLE_TOP, self.control.kp_position, carries=held)
         s = self.s
         s.R_WG[i], s.target_pos_W[i] = start.T_WO[:3, :3], start.T_WO[:3, 3]
         s.table_gone[i], s.holding[i], s.episode_time[i] = 0.0, 0.0, 0.0
