@@ -118,6 +118,11 @@ def test_texts_that_look_like_numbers_are_dumped_as_texts(tmp_path: Path, name: 
     assert load_config(tmp_path / "a.yaml") == config
 
 
+def test_the_papers_config_is_the_defaults() -> None:
+    """Its file is there to be read; a number that is changed in one place must be changed in the other."""
+    assert load_config(cfg_root() / "dexycb.yaml") == Config()
+
+
 def test_nested_values_have_dotted_keys() -> None:
     assert flat_keys({"a": 1, "b": {"c": [2], "d": {"e": None}}, "f": {}}) == {"a": 1, "b.c": [2], "b.d.e": None}
     assert list(flat_keys(Config().model_dump(mode="json"))) == config_keys()
