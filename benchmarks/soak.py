@@ -70,7 +70,7 @@ def many_resets(spec: PoolSpec, config: Config, resets: int) -> None:
     warm = before = 0.0
     for k in range(rounds):
         # A world that is taken down and set up again with its object, as after an explosion.
-        env.alive[k % env.num_envs] = False
+        env.worlds.rebuild(k % env.num_envs)
         env.reset(k)
         env.step(np.zeros((env.num_envs, 51)))
         if k == rounds // 10:

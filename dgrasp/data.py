@@ -15,7 +15,7 @@ from dgrasp.config.experiment import Config
 from dgrasp.errors import DataError
 from dgrasp.files.paths import data_root, user_data_root
 from dgrasp.hand.store import AUTHORS_HAND, FREE_HAND, HandSource, authors_source, find_hand, free_source
-from dgrasp.labels.source import RELEASE_FILES, SOURCES, SPLITS, LabelSet, load_labels, select, sha256_of
+from dgrasp.labels.source import FREE, RELEASED, LabelSet, load_labels, select, sha256_of
 from dgrasp.objects.names import YCB_NAMES, nearest
 from dgrasp.objects.store import StoredObject, default_store, find_object
 
@@ -211,19 +211,22 @@ def _hand(config: Config, root: Path, kind: Kind) -> HandSource:
 def _label_file(config: Config, root: Path, kind: Kind) -> tuple[Path, tuple[str, str] | None]:
     """The label file; with its source and split where the config names them, not a file."""
     source, split, folder = config.labels.source, config.labels.split, root / "labels"
-    if source in SOURCES:
-        if kind == "free" and source != "dexycb":
+    # In the free set, the usual source names its own labels.
+    there = RELEASED if kind == "release" else {"dexycb": FREE}
+    if source in RELEASED:
+        if source not in there:
             raise DataError(f"labels.source: the free set has no labels of {source}; expected dexycb, which names the "
                             f"free labels there, or --data with {_LAYOUT}")
-        files = RELEASE_FILES if kind == "release" else {("dexycb", s): f"free_{s}.npz" for s in SPLITS}
-        path = folder / files[source, split]
+        chosen = there[source]
+        path = folder / chosen.files.get(split, "")
         if os.path.isfile(path):
-            return path, (source if kind == "release" else "free", split)
-        there = [f"{s} {t}" for (s, t), name in files.items() if os.path.isfile(folder / name)]
-        raise DataError(f"{path}: no {split} split of {source} labels here; there is: {', '.join(there) or 'none'}; "
+            return path, (chosen.name, split)
+        files = {f"{key} {t}": name for key, named in there.items() for t, name in named.files.items()}
+        splits = [text for text, name in files.items() if os.path.isfile(folder / name)]
+        raise DataError(f"{path}: no {split} split of {source} labels here; there is: {', '.join(splits) or 'none'}; "
                         "only the splits that are there exist")
     for path in (Path(os.path.expanduser(source)), folder / source):
         if source and os.path.isfile(path):
             return path, None
-    raise DataError(f"labels.source: {source!r} is neither {', '.join(SOURCES)} nor a file (here or in {folder})"
-                    f"{nearest(source, SOURCES)}")
+    raise DataError(f"labels.source: {source!r} is neither {', '.join(RELEASED)} nor a file (here or in {folder})"
+                    f"{nearest(source, RELEASED)}")

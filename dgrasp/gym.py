@@ -96,7 +96,8 @@ class GraspGymEnv(gymnasium.Env[Array, Array]):
 
     def step(self, action: Array) -> tuple[Array, float, bool, bool, dict[str, Any]]:
         result = self._pool.step(_checked(action, self.action_space)[None])
-        observation = result.observation[0].copy()
+        # What broke is already placed anew; its episode ends with the last sound observation.
+        observation = (result.final_observation if result.broken[0] else result.observation)[0].copy()
         terms = dict(zip(self._pool.reward_terms, result.reward_terms[0].tolist(), strict=True))
         return (
             observation, float(result.reward[0]), bool(result.terminated[0]), bool(result.truncated[0]),

@@ -53,8 +53,26 @@ def test_keys_are_dotted_leaves() -> None:
         (["seed"], "expected key=value"),
         (["ppo.gamma.x=1"], "ppo.gamma"),
         (["seed=[1"], "not valid YAML"),
-        (["labels.objects=[004]"], "labels.objects: .*numbers in quotes"),
-        (["labels.objects=[010, 025_mug]"], "numbers in quotes"),
+        (["labels.objects=[4]"], "labels.objects: .*numbers in quotes"),
+        (["labels.objects=[4, 025_mug]"], "numbers in quotes"),
+        (["labels.objects=[004]"], r"labels\.objects=\[004\]': YAML reads 004 in base 8; .* for a text quotes: '004'"),
+        (["labels.objects=[010, 025_mug]"], "reads 010 in base 8"),
+        (["seed=010"], "override 'seed=010': YAML reads 010 in base 8; expected a decimal number without leading"),
+        (["seed=-0_10"], "reads -0_10 in base 8"),
+        (["eval.window_s=1:30"], "reads 1:30 in base 60; expected a decimal number .* or for a text quotes: '1:30'"),
+        (["eval.window_s=1:30.5"], "reads 1:30.5 in base 60"),
+        (["env.episode_steps=100000000000"], r"env\.episode_steps: .*less than or equal to 10000 \(got 100000000000\)"),
+        (["env.episode_steps=1e11"], r"env\.episode_steps: .*valid integer"),
+        (["env.lengthens_by=100000000000"], r"env\.lengthens_by: .*less than or equal to 10000"),
+        (["motion.steps=100000000000"], r"motion\.steps: .*less than or equal to 10000"),
+        (["ppo.epochs=100000000000"], r"ppo\.epochs: .*less than or equal to 1000000"),
+        (["ppo.hidden=[128, 100000000000]"], r"ppo\.hidden\.1: .*less than or equal to 10000"),
+        (["ppo.threads=100000000000"], r"ppo\.threads: .*less than or equal to 1024"),
+        (["physics.substeps=100000000000"], r"physics\.substeps: .*less than or equal to 1000"),
+        (["pool.hang_s=1e300"], r"pool\.hang_s: .*less than or equal to 1000000"),
+        (["seed=9223372036854775808"], "seed: .*less than 9223372036854775808"),
+        (["eval.window_s=1e11"], r"eval\.window_s: 1e\+11 s are 3\.47e\+12 control steps .* at most 10000"),
+        (["physics.timestep=1e-12"], r"eval\.window_s: 5 s are 3\.85e\+11 control steps of 1\.3e-11 s"),
         (["env.grasp_steps=195"], "env.grasp_steps must be below"),
         (["env.hold.first_step=70"], "first_step <= last_step"),
         (["engine=mujoco", "physics.concave=mesh"], "mujoco collides no concave meshes"),
@@ -85,6 +103,24 @@ def test_files_that_are_no_config(tmp_path: Path, text: str) -> None:
 
 def test_numbers_are_read_as_in_yaml_1_2() -> None:
     assert parse_yaml("[1e-3, 2E5, .5, -1.5e+2]", "x") == [1e-3, 2e5, 0.5, -150.0]
+    assert parse_yaml("[0, -7, +10, 1_000, 0x1F, 0b11, 01.5, .inf]", "x") == [0, -7, 10, 1000, 31, 3, 1.5, float("inf")]
+    # What is text stays text.
+    assert parse_yaml("['010', 008, '1:30', 025_mug, localhost:6379]", "x") == [
+        "010", "008", "1:30", "025_mug", "localhost:6379"]  # fmt: skip
+    with pytest.raises(ConfigError, match=r"^a\.yaml: line 2: YAML reads 017 in base 8"):
+        parse_yaml("a: 1\nb: 017", "a.yaml")
+
+
+@pytest.mark.parametrize("name", ["010", "008", "1:30", "0x1F"])
+def test_texts_that_look_like_numbers_are_dumped_as_texts(tmp_path: Path, name: str) -> None:
+    config = make_config({"labels": {"objects": [name]}})
+    (tmp_path / "a.yaml").write_text(dump_config(config))
+    assert load_config(tmp_path / "a.yaml") == config
+
+
+def test_the_papers_config_is_the_defaults() -> None:
+    """Its file is there to be read; a number that is changed in one place must be changed in the other."""
+    assert load_config(cfg_root() / "dexycb.yaml") == Config()
 
 
 def test_nested_values_have_dotted_keys() -> None:

@@ -9,10 +9,10 @@ import numpy as np
 import yaml
 
 from dgrasp.errors import DataError
+from dgrasp.files import licences
 from dgrasp.hand.build.build import Provenance, build_hand
 from dgrasp.hand.build.limits import label_limits
 from dgrasp.hand.build.report import print_report
-from dgrasp.hand.free.skin import LICENCE as FREE_LICENCE
 from dgrasp.hand.free.skin import free_limits, free_skin, skin_path
 from dgrasp.hand.mano.file import read_mano
 from dgrasp.hand.store import open_hand
@@ -25,8 +25,6 @@ with the package: 16 closed part meshes, collision shapes, masses, 51 joints wit
 it with hand=DIR. A MANO file is read without chumpy, and nothing in it is executed. A hand built from MANO derives from
 it: its licence forbids to pass it on. One built with --free is as free as the project.
 """
-
-LICENCE = "derived from MANO: non-commercial research only, no redistribution"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -50,7 +48,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def main(arguments: argparse.Namespace) -> int:
     """Build the hand and print its figures; returns the exit code."""
     model = free_skin() if arguments.free else read_mano(arguments.mano)
-    file, family, licence = (skin_path(), "free", FREE_LICENCE) if arguments.free else (arguments.mano, "mano", LICENCE)
+    file, family = (skin_path(), "free") if arguments.free else (arguments.mano, "mano")
+    licence = licences.FREE_HAND if arguments.free else licences.MANO
     side = arguments.side or model.side
     betas = read_betas(arguments.betas)
     limits, origin = free_limits() if arguments.free else None, "table"

@@ -8,11 +8,12 @@ import os
 from pathlib import Path
 
 from dgrasp.errors import DataError
+from dgrasp.files import licences
 from dgrasp.files.paths import user_cache_root
 from dgrasp.hand.mano.file import read_mano
 from dgrasp.labels.recorded import dexycb_grasps
 from dgrasp.labels.recorded.cache import LabelCache
-from dgrasp.labels.recorded.common import MANO_TERMS, add_common, finish, make_maker, progress
+from dgrasp.labels.recorded.common import add_common, finish, make_maker, progress
 from dgrasp.labels.source import sha256_of
 
 HELP = """\
@@ -23,7 +24,6 @@ label are listed with the reason. What was made once is kept in a cache (DGRASP_
 example:
   dgrasp labels import dexycb $DEX_YCB_DIR --mano MANO_RIGHT.pkl --hand hands/mine --split train --out train.npz
 """
-LICENCE = f"DexYCB CC BY-NC 4.0; {MANO_TERMS}"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -80,4 +80,4 @@ def main(arguments: argparse.Namespace) -> int:
         "made by": "dgrasp labels import dexycb", "split": arguments.split, "seed": arguments.seed,
         "displacement_m": arguments.displacement, "start_distance_m": arguments.start_distance,
         "left_hands": "left out" if left is None else "mirrored", "sequences": imported.sequences,
-    }, LICENCE)  # fmt: skip
+    }, licences.DEXYCB)  # fmt: skip

@@ -6,7 +6,8 @@ import argparse
 from pathlib import Path
 
 from dgrasp.errors import DataError
-from dgrasp.labels.recorded.common import MANO_TERMS, add_common, finish, make_maker, progress
+from dgrasp.files import licences
+from dgrasp.labels.recorded.common import add_common, finish, make_maker, progress
 from dgrasp.labels.recorded.ho3d import import_ho3d
 
 HELP = """\
@@ -16,7 +17,6 @@ labels know no table and no approach: hand and object are put onto the table whe
 example:
   dgrasp labels import ho3d HO3D/train --mano MANO_RIGHT.pkl --hand hands/mine --objects YCB_models --out ho3d.npz
 """
-LICENCE = f"HO3D: academic research only; {MANO_TERMS}"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -37,4 +37,4 @@ def main(arguments: argparse.Namespace) -> int:
                                   lambda frames: progress(frames, "reading HO3D"))
     print(f"{arguments.source}: {len(labels) + len(skipped)} frames, {len(labels)} labels")
     return finish(arguments, labels, skipped, {"made by": "dgrasp labels import ho3d", "every": arguments.every},
-                  LICENCE)
+                  licences.HO3D)

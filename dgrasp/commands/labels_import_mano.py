@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from dgrasp.errors import DataError
-from dgrasp.labels.recorded.common import MANO_TERMS, add_common, finish, make_maker, progress
+from dgrasp.files import licences
+from dgrasp.labels.recorded.common import add_common, finish, make_maker, progress
 from dgrasp.labels.recorded.conventions import CHOICES, read_grasps
 from dgrasp.labels.recorded.making import numbered
 from dgrasp.labels.recorded.mano_table import read_mano_table
@@ -45,7 +46,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--table", type=float, metavar="Z",
                         help="m; z of the table's top in a frame whose z is up (default: there is no table, and the "
                              "object is put onto one as its own frame has it)")
-    parser.add_argument("--licence", default=MANO_TERMS, help="the terms of the labels (default: MANO's)")
+    parser.add_argument("--licence", default=licences.MANO, help="the terms of the labels (default: MANO's)")
 
 
 def main(arguments: argparse.Namespace) -> int:

@@ -18,6 +18,7 @@ import numpy as np
 from dgrasp import __version__
 from dgrasp.config.experiment import Config, make_config
 from dgrasp.errors import ConfigError, DataError
+from dgrasp.files import licences
 from dgrasp.hand.store import NamedHand, open_hand
 from dgrasp.objects.free import free_object
 from dgrasp.objects.model import ObjectModel
@@ -212,7 +213,7 @@ def _write(files: list[Path], made: list[list[GraspLabel]], arguments: argparse.
     free = hand.model.id == "free" and arguments.data == "free" and all(
         label.object_id in YCB_NAMES.values() for label in everything
     )
-    licence = "MIT" if free else "that of the hand and of the objects that they were made for"
+    licence = licences.PROJECT if free else licences.OF_ITS_ORIGINS
     figures = {name: {key: value for key, value in row.items() if key != "cpu_s"} for name, row in figures.items()}
     provenance = {"made_by": "dgrasp labels make", "seed": arguments.seed, "engine": arguments.engine,
                   "per_object": figures}

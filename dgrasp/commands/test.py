@@ -21,11 +21,11 @@ from dgrasp.evaluation import evaluate_choice, evaluate_motion
 from dgrasp.export.collect import display_meshes, sequences
 from dgrasp.export.film import record_pictures
 from dgrasp.export.sequence import check_folder, write_folder
+from dgrasp.files.atomic import write_atomic
 from dgrasp.files.outputs import check_outputs
 from dgrasp.methods import BASELINES
 from dgrasp.report.page import write_report
 from dgrasp.request import Asked, make_request
-from dgrasp.rl.run import checkpoint
 from dgrasp.tables.plan import NAMES
 from dgrasp.types import EpisodeRecord
 from dgrasp.view.frames import gif_bytes, tile
@@ -199,4 +199,4 @@ def write_gif(
         raise DataError(f"{path}: no episode lasted a single step, so that there is nothing to show in a GIF")
     chosen = [there[i * len(there) // min(count, len(there))] for i in range(min(count, len(there)))]
     clips = [list(record_pictures(r, meshes[r.label.object_id], every=5, size=(320, 240))) for r in chosen]
-    checkpoint.atomic_write_bytes(path, gif_bytes(tile(clips, columns=3), 5 * chosen[0].dt))
+    write_atomic(path, gif_bytes(tile(clips, columns=3), 5 * chosen[0].dt))

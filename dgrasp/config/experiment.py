@@ -13,6 +13,7 @@ import yaml
 from pydantic import BaseModel, Field, ValidationError, model_validator
 
 from dgrasp.config.sections import (
+    MAX_STEPS,
     CheckpointConfig,
     EnvConfig,
     EvalConfig,
@@ -36,7 +37,7 @@ class Config(Section):
     """
 
     name: Annotated[str, Field(pattern=r"^[^/\\\x00]{1,100}$")] = "dexycb"
-    seed: Annotated[int, Field(ge=0)] = 1
+    seed: Annotated[int, Field(ge=0, lt=2**63)] = 1
     engine: Literal["pybullet", "mujoco"] = "pybullet"
     device: Literal["auto", "cpu", "cuda"] = "auto"
     data: str | None = None
@@ -90,6 +91,10 @@ class Config(Section):
     def _consistent(self) -> Config:
         if self.env.grasp_steps >= self.env.episode_steps:
             raise ValueError("env.grasp_steps must be below env.episode_steps")
+        window = self.eval.window_s / self.control_period
+        if window > MAX_STEPS:
+            raise ValueError(f"eval.window_s: {self.eval.window_s:g} s are {window:.3g} control steps of "
+                             f"{self.control_period:g} s; expected at most {MAX_STEPS}")
         hold = self.env.hold
         if hold.first_step is not None and not hold.first_step <= hold.last_step < self.env.episode_steps:
             raise ValueError("env.hold: expected first_step <= last_step < env.episode_steps")

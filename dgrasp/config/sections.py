@@ -9,7 +9,10 @@ from pydantic import BaseModel, ConfigDict, Field, field_validator
 Positive = Annotated[float, Field(gt=0)]
 NonNegative = Annotated[float, Field(ge=0)]
 Fraction = Annotated[float, Field(ge=0, le=1)]
-Count = Annotated[int, Field(ge=1)]
+Count = Annotated[int, Field(ge=1, le=10**9)]
+MAX_STEPS = 10_000
+"""Control steps, five minutes, beyond which no episode or window goes: all of them are kept in memory."""
+Steps = Annotated[int, Field(ge=1, le=MAX_STEPS)]
 
 
 class Section(BaseModel):
@@ -45,7 +48,7 @@ class LabelsConfig(Section):
     @field_validator("objects", mode="before")
     @classmethod
     def _names(cls, value: Any) -> Any:
-        # YAML reads 004 as 4 and 010 as 8: what was meant cannot be told.
+        # Names are text, and 4 is none.
         if isinstance(value, list) and any(isinstance(name, (int, float)) for name in value):
             raise ValueError("expected names such as 004_sugar_box, or numbers in quotes: ['004']")
         return value
@@ -61,7 +64,7 @@ class PhysicsConfig(Section):
     """
 
     timestep: Positive = 0.00222
-    substeps: Count = 13
+    substeps: Annotated[int, Field(ge=1, le=1000)] = 13
     friction: NonNegative = 0.8
     official_compat: bool = True
     masses: Literal["official", "ycb"] = "official"
@@ -124,8 +127,8 @@ class HoldConfig(Section):
     ends when the object has dropped by `drop` (m). `env.reward.hold` is paid for every step until then.
     """
 
-    first_step: Count | None = None
-    last_step: Count = 65
+    first_step: Steps | None = None
+    last_step: Steps = 65
     drop: Positive = 0.05
 
 
@@ -141,9 +144,9 @@ class EnvConfig(Section):
     """
 
     task: Literal["grasp", "motion", "flat"] = "grasp"
-    episode_steps: Count = 195
-    lengthens_by: Annotated[int, Field(ge=0)] = 0
-    grasp_steps: Count = 60
+    episode_steps: Steps = 195
+    lengthens_by: Annotated[int, Field(ge=0, le=MAX_STEPS)] = 0
+    grasp_steps: Steps = 60
     features: Literal["phi", "full_state"] = "phi"
     goal_space: bool = True
     scaled_features: bool = False
@@ -174,7 +177,7 @@ class MotionConfig(Section):
 
     targets: str | None = None
     per_label: Count | None = None
-    steps: Count = 300
+    steps: Steps = 300
     beta_position: Fraction = 1.0
     beta_rotation: Fraction = 1.0
     ramp_position: Count = 1000
@@ -197,8 +200,8 @@ class PpoConfig(Section):
     changes the last bits of the weights.
     """
 
-    epochs: Count = 10000
-    max_steps: Count | None = None
+    epochs: Annotated[int, Field(ge=1, le=10**6)] = 10000
+    max_steps: Annotated[int, Field(ge=1, le=10**15)] | None = None
     max_minutes: Positive | None = None
     gamma: Fraction = 0.996
     lam: Fraction = 0.95
@@ -219,10 +222,10 @@ class PpoConfig(Section):
     separate_clipping: bool = False
     advantages_per_minibatch: bool = False
     output_gain: Positive = 2.0**0.5
-    hidden: list[Count] = [128, 128]
+    hidden: Annotated[list[Annotated[int, Field(ge=1, le=10_000)]], Field(max_length=100)] = [128, 128]
     initial_std: Positive = 1.0
     min_std: NonNegative = 0.2
-    threads: Count = 1
+    threads: Annotated[int, Field(ge=1, le=1024)] = 1
 
 
 class PoolConfig(Section):
@@ -230,12 +233,12 @@ class PoolConfig(Section):
 
     workers: null takes as many as there are cores. hang_s: seconds without a control step after which a
     worker is taken to hang, and is replaced. For "ray" alone: address of the cluster (auto, HOST:PORT; null starts
-    one on this machine); patience: an actor that takes this many times as long as the others is left behind.
+    one on this machine); patience: a worker that takes this many times as long as the others is left behind.
     """
 
     kind: Literal["process", "serial", "ray"] = "process"
-    workers: Count | None = None
-    hang_s: Positive = 120.0
+    workers: Annotated[int, Field(ge=1, le=100_000)] | None = None
+    hang_s: Annotated[float, Field(gt=0, le=1e6)] = 120.0
     address: str | None = None
     patience: Annotated[float, Field(ge=1)] = 3.0
 

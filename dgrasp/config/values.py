@@ -12,8 +12,9 @@ import yaml
 from dgrasp.errors import ConfigError
 
 
-class _Loader(yaml.SafeLoader):
-    """SafeLoader that reads 1e-3 as a number, as YAML 1.2 does, and refuses duplicate keys."""
+class _ConfigLoader(yaml.SafeLoader):
+    """SafeLoader that reads 1e-3 as a number, as YAML 1.2 does, and refuses duplicate keys and numbers that YAML 1.1
+    reads in another base: 010 as 8, 1:30 as 90."""
 
     def construct_mapping(self, node: Any, deep: bool = False) -> dict[Any, Any]:
         seen: set[Any] = set()
@@ -27,17 +28,35 @@ class _Loader(yaml.SafeLoader):
         return super().construct_mapping(node, deep=deep)
 
 
-_Loader.add_implicit_resolver(
+_ConfigLoader.add_implicit_resolver(
     "tag:yaml.org,2002:float",
     re.compile(r"^[-+]?(\d[\d_]*\.?[\d_]*|\.[\d_]+)[eE][-+]?\d+$"),
     list("-+0123456789."),
 )
 
 
+def _number(loader: _ConfigLoader, node: yaml.ScalarNode) -> int | float:
+    """A number in base 10 (or marked as 0x or 0b); `ConfigError` for one that YAML would read in base 8 or 60."""
+    digits = node.value.lstrip("+-").replace("_", "")
+    is_float = node.tag == "tag:yaml.org,2002:float"
+    base = 60 if ":" in digits else 8 if not is_float and re.fullmatch(r"0\d+", digits) else 10
+    if base != 10:
+        place = f"line {node.start_mark.line + 1}: " if node.start_mark.line else ""
+        raise ConfigError(f"{place}YAML reads {node.value[:40]} in base {base}; expected a decimal number without "
+                          f"leading zeros and colons, or for a text quotes: '{node.value[:40]}'")
+    return loader.construct_yaml_float(node) if is_float else loader.construct_yaml_int(node)
+
+
+_ConfigLoader.add_constructor("tag:yaml.org,2002:int", _number)
+_ConfigLoader.add_constructor("tag:yaml.org,2002:float", _number)
+
+
 def parse_yaml(text: str, where: str) -> Any:
     """The values of a YAML text; `where` names it in errors."""
     try:
-        return yaml.load(text, Loader=_Loader)
+        return yaml.load(text, Loader=_ConfigLoader)
+    except ConfigError as error:
+        raise ConfigError(f"{where}: {error}") from None
     except (yaml.YAMLError, RecursionError, ValueError) as error:
         raise ConfigError(f"{where}: not valid YAML ({' '.join(str(error).split())})") from None
 

@@ -22,11 +22,10 @@ HOLD_KP_POSITION = 500.0
 
 
 class Controller(Protocol):
-    """Bias and action scale of one phase; `kp_position` and `carries` say how stiff the wrist is."""
+    """Bias and action scale of one phase; `kp_position` (N/m) says how stiff the wrist is."""
 
     sigma: Array
     kp_position: float
-    carries: bool
 
     def bias(self, state: SceneState, goal: GraspGoal, out: Array) -> None:
         """Writes q_b into out (N, D)."""
@@ -45,8 +44,6 @@ class WristGuidance:
     Paper, section 3.2.3.
     """
 
-    carries = False
-
     def __init__(self, config: ActionConfig, hand: HandLayout) -> None:
         self.sigma = _sigma(config, hand, config.sigma_wrist_position)
         self.kp_position = config.kp_position
@@ -59,8 +56,6 @@ class WristGuidance:
 class Residual:
     """All joints are biased to where they are (the ablation "w/o WristGuidance"); the wrist moves 10 times more."""
 
-    carries = False
-
     def __init__(self, config: ActionConfig, hand: HandLayout) -> None:
         self.sigma = _sigma(config, hand, 10.0 * config.sigma_wrist_position)
         self.kp_position = config.kp_position
@@ -72,7 +67,6 @@ class Residual:
 class WristHold:
     """The wrist stays at the pose that it had when this controller began; the policy keeps the fingers."""
 
-    carries = True
     kp_position = HOLD_KP_POSITION
 
     def __init__(self, config: ActionConfig, hand: HandLayout, state: SceneState) -> None:
@@ -92,7 +86,6 @@ class WristHold:
 class LabelPose:
     """Wrist and fingers at the label's pose (the baseline *+PD, supplement B.4); actions have no effect."""
 
-    carries = True
     kp_position = HOLD_KP_POSITION
 
     def __init__(self, config: ActionConfig, hand: HandLayout) -> None:

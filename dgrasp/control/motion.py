@@ -29,7 +29,6 @@ class MotionSynthesis:
     steps, so that the object is not thrown from its rest.
     """
 
-    carries = True
     kp_position = HOLD_KP_POSITION
 
     def __init__(

@@ -35,7 +35,6 @@ class WholeHand:
     is lifted is for the policy to find out.
     """
 
-    carries = False
     kp_position = HOLD_KP_POSITION
 
     def __init__(self, config: EnvConfig, hand: HandLayout) -> None:

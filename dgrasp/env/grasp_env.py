@@ -20,9 +20,10 @@ from dgrasp.hand.layout import N_WRIST
 from dgrasp.hand.model import HandModel
 from dgrasp.objects.model import ObjectModel
 from dgrasp.rl.collect import Actor
+from dgrasp.rl.step import Step
 from dgrasp.scene.relations import Relations, relations
 from dgrasp.scene.scene import LOWERED_TOP, TABLE_TOP, Scene
-from dgrasp.scene.state import StepArrays, state_views, take
+from dgrasp.scene.state import state_views, take
 from dgrasp.scene.worlds import Worlds
 from dgrasp.types import Array, GraspGoal, GraspLabel, SceneState, StartPose
 
@@ -72,7 +73,7 @@ class GraspEnv:
         self.reward_terms = self.reward.names
         self.indices, self.total = self.indices or range(n), self.total or n
         self.s = state_views(n, layout)
-        self.o = StepArrays.allocate(n, self.layer.size, len(self.reward.names))
+        self.o = Step.allocate(n, self.layer.size, len(self.reward.names))
         self.goal = make_goal(self.labels)
         self.starts = [start_pose(label, self.hand) for label in self.labels]
         self.worlds = Worlds(self.labels, self.hand, self.objects, self.config, self.make_scene, self.s)
@@ -85,7 +86,8 @@ class GraspEnv:
         self.hold = TrainingHold(env, layout, self.s, n)
         self.alive = np.ones(n, bool)
         self.active = np.ones(n, bool)
-        """Environments that take part in this epoch (`labels.per_epoch`); the others rest as they are."""
+        """Environments that are simulated: those that take part in this epoch (`labels.per_epoch`) and were not told
+        to `rest`. The others stay as they are."""
         self._rows: Array | slice = slice(None)
         self._path: Array | None = None
         self._path_step = 0
@@ -156,8 +158,9 @@ class GraspEnv:
             start = self.starts[i]
             if self.mode == "train":
                 start = with_noise(start, self.config.env.noise, self._rng[i])
-        top = LOWERED_TOP if self.mode == "label" else TABLE_TOP
-        self.worlds.place(i, start, top, self.control.kp_position, self.control.carries)
+        # In the label's pose the object is in the hand and weighs on the wrist; elsewhere it stands on the table.
+        held = self.mode == "label"
+        self.worlds.place(i, start, LOWERED_TOP if held else TABLE_TOP, self.control.kp_position, carries=held)
         s = self.s
         s.R_WG[i], s.target_pos_W[i] = start.T_WO[:3, :3], start.T_WO[:3, 3]
         s.table_gone[i], s.holding[i], s.episode_time[i] = 0.0, 0.0, 0.0
@@ -167,7 +170,7 @@ class GraspEnv:
 
     # Step --------------------------------------------------------------------------------------
 
-    def step(self, actions: Array) -> StepArrays:
+    def step(self, actions: Array) -> Step:
         """One control step with residual actions (N, A)."""
         self._aim()
         self._aim_joints(actions)
@@ -177,6 +180,8 @@ class GraspEnv:
         self.steps_made += self.alive & self.active
         broken = self.worlds.exploded() & self.alive & self.active
         if broken.any():
+            # The last sound observation of these episodes is the one before this step.
+            self.o.final_observation[broken] = self.o.observation[broken]
             self._bury(np.flatnonzero(broken))
         self.worlds.derive(self._rows)
         np.divide(self.clock, self.episode_steps, out=self.s.episode_time)
@@ -184,12 +189,11 @@ class GraspEnv:
         self._pay(self._observe(self._rows))
         # A broken episode ends with nothing gained, and is already placed anew.
         self.o.reward[broken], self.o.reward_terms[broken] = 0.0, 0.0
-        self.o.final_observation[broken] = self.o.observation[broken]
         self.o.broken[:] = self.o.terminated[:] = broken
         self.o.truncated[:] = False
         if self.mode == "train":
             fallen = dropped & self.active & ~broken
-            self.o.terminated |= fallen
+            self.o.terminated[:] |= fallen
             self.o.truncated[:] = ~self.o.terminated & (self.clock >= self.episode_steps) & self.active
             ended = fallen | self.o.truncated
             if self.restarts and ended.any():
@@ -220,6 +224,10 @@ class GraspEnv:
     @property
     def _training_hold(self) -> bool:
         return self.mode == "train" and self.hold.exists
+
+    def rest(self, which: Array) -> None:
+        """Stop simulating some environments (N,) bool until the next reset; they stay as they are."""
+        self.active &= ~which
 
     def remove_table(self) -> None:
         """Take the table away and hold the wrist where it is: the stability test begins."""

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from dgrasp.config.experiment import control_steps
-from dgrasp.eval.metrics import fallen, window_steps
+from dgrasp.eval.metrics import fallen_steps, window_steps
 from dgrasp.types import Array, EpisodeRecord
 
 KINDS = ("approach", "lift", "slip", "drop", "broken")
@@ -60,7 +60,7 @@ def outcome(record: EpisodeRecord, window_s: float) -> Outcome:
     """
     start = record.window_start
     stop = start + window_steps(record, window_s)
-    landed = np.flatnonzero(fallen(record)[start:stop])
+    landed = np.flatnonzero(fallen_steps(record)[start:stop])
     if not landed.size:
         if not record.terminated:
             return Outcome("held", None, None)

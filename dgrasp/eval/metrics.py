@@ -46,7 +46,7 @@ def success(record: EpisodeRecord, window_s: float) -> bool:
     stop = record.window_start + window_steps(record, window_s)
     if record.terminated:
         return False
-    return not fallen(record)[record.window_start : stop].any()
+    return not fallen_steps(record)[record.window_start : stop].any()
 
 
 def sim_dist_mm_per_step(record: EpisodeRecord, window_s: float) -> float | None:
@@ -164,17 +164,24 @@ def _last(errors: Array) -> float | None:
     return float(finite[-1]) if finite.size else None
 
 
-def fallen(record: EpisodeRecord) -> Array:
-    """(T,) bool: the object touches the table or is at `FALLEN_HEIGHT` or below."""
-    # Written so that a NaN height counts as fallen.
-    return np.asarray(record.table_contact, dtype=bool) | ~(record.T_WO[:, 2, 3] > FALLEN_HEIGHT)
+def has_fallen(table_contact: Array, height_W: Array) -> Array:
+    """bool: the object touches the table or is at `FALLEN_HEIGHT` or below; both arguments have the result's shape.
+
+    table_contact: bool or 0 and 1. height_W: z of the object's origin, m; a NaN height counts as fallen.
+    """
+    return np.asarray(table_contact, dtype=bool) | ~(height_W > FALLEN_HEIGHT)
+
+
+def fallen_steps(record: EpisodeRecord) -> Array:
+    """(T,) bool: `has_fallen` after each step of an episode."""
+    return has_fallen(record.table_contact, record.T_WO[:, 2, 3])
 
 
 def _mean_step_mm(record: EpisodeRecord, window_s: float, position: Array) -> float | None:
     # The first difference needs the state before the window; a record that begins with the window lacks it.
     start = max(record.window_start, 1)
     stop = record.window_start + window_steps(record, window_s)
-    landed = np.flatnonzero(fallen(record)[start:stop])
+    landed = np.flatnonzero(fallen_steps(record)[start:stop])
     if landed.size:
         stop = start + int(landed[0]) + 1
     if stop <= start:

@@ -9,7 +9,7 @@ from typing import Any
 
 import yaml
 
-from dgrasp.labels.source import SOURCES
+from dgrasp.labels.source import RELEASED
 
 _COLUMNS = {"gt_pd": "pd", "gt_ik": "ik", "policy": "ours"}
 _MISPRINTED = {("grasptta", "gt_ik")}
@@ -34,7 +34,10 @@ def paper_column(labels_source: str, split: str, method: str) -> Column | None:
     interpenetration_shell_cm3, which is how it was measured (docs/metrics.md). None where the paper has no such column
     or it is misprinted.
     """
-    if labels_source not in SOURCES or method not in _COLUMNS or (labels_source, method) in _MISPRINTED:
+    source = RELEASED.get(labels_source)
+    if source is None or not source.comparable_with_paper:
+        return None
+    if method not in _COLUMNS or (labels_source, method) in _MISPRINTED:
         return None
     table = paper_tables()[labels_source].get(split, {})
     column = {

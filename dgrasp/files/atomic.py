@@ -1,36 +1,56 @@
-"""Write files so that a reader sees the old content or the new one, never a part."""
+"""Write files so that a reader sees the old content or the new one, never a part, whatever stops the program."""
 
 from __future__ import annotations
 
+import contextlib
 import os
 import tempfile
 from pathlib import Path
 
 from dgrasp.errors import DataError
 
+TEMPORARY = ".*.tmp"
+"""Pattern of the names under which files are written first; a killed process may leave one behind."""
+
 
 def write_atomic(path: Path, content: bytes | str) -> None:
     """Replace `path` by `content` (text as UTF-8) in one step, making its folder where needed.
 
-    Raises `DataError` naming the path where it cannot be written; nothing is left behind then.
+    The content is on the disk when this returns. A link keeps its place; the file that it points to is replaced.
+    Raises `DataError` naming the path where it cannot be written, on a full disk for example; the old file stays then,
+    and no temporary one.
     """
-    # What a link points to is replaced, not the link.
-    path = Path(os.path.realpath(path))
+    target = Path(os.path.realpath(path))
     raw = content.encode("utf-8") if isinstance(content, str) else content
     temporary = ""
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+        target.parent.mkdir(parents=True, exist_ok=True)
+        handle, temporary = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.", suffix=".tmp")
         with os.fdopen(handle, "wb") as stream:
             stream.write(raw)
+            stream.flush()
+            os.fsync(stream.fileno())
         # mkstemp makes files for their owner alone; give the usual mode instead.
         umask = os.umask(0)
         os.umask(umask)
         os.chmod(temporary, 0o666 & ~umask)
-        os.replace(temporary, path)
+        os.replace(temporary, target)
     except OSError as error:
-        raise DataError(f"{path}: cannot be written ({error.strerror or error})") from None
+        raise DataError(f"{path}: cannot be written ({error.strerror or error}); what was there before is unharmed. "
+                        "Free some space or choose another folder") from None
     finally:
         # After the replacement the temporary name is gone; it still exists only where something failed.
-        if temporary and os.path.exists(temporary):
-            os.unlink(temporary)
+        if temporary:
+            with contextlib.suppress(OSError):
+                os.unlink(temporary)
+    _sync_folder(target.parent)
+
+
+def _sync_folder(folder: Path) -> None:
+    """Make a new name in a folder survive a power cut; some file systems cannot be asked for it."""
+    with contextlib.suppress(OSError):
+        handle = os.open(folder, os.O_RDONLY)
+        try:
+            os.fsync(handle)
+        finally:
+            os.close(handle)

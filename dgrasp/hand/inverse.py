@@ -17,7 +17,7 @@ _SMALL = 1e-10
 
 
 @dataclass(frozen=True, eq=False)
-class Fit:
+class KeypointFit:
     """Fitted hands: T_AH (N, 4, 4), hand_pose (N, J) rad, and their key points (N, K, 3) m, all in frame A."""
 
     T_AH: Array
@@ -25,7 +25,7 @@ class Fit:
     joints: Array
 
 
-def fit_keypoints(hand: HandModel, T_AH: Array, hand_pose: Array, targets: Array) -> Fit:
+def fit_keypoints(hand: HandModel, T_AH: Array, hand_pose: Array, targets: Array) -> KeypointFit:
     """The hands nearest to key points `targets` (N, K, 3) m in frame A, from wrists T_AH (N, 4, 4) and poses (N, J).
 
     Minimises the sum of |x_k - target_k|^2 over the key points plus |STAY * (q - q_start)|^2 over the finger angles, by
@@ -56,7 +56,7 @@ def fit_keypoints(hand: HandModel, T_AH: Array, hand_pose: Array, targets: Array
         damping = np.where(better, damping / 5.0, damping * 5.0).clip(1e-9, 1e3)
     T = np.tile(np.eye(4), (len(targets), 1, 1))
     T[:, :3, :3], T[:, :3, 3] = state.R, state.wrist
-    return Fit(T, state.pose, state.joints)
+    return KeypointFit(T, state.pose, state.joints)
 
 
 def _cost(state: _Chains, targets: Array, start: Array) -> Array:

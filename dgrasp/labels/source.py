@@ -5,11 +5,13 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 from dgrasp.errors import DataError
+from dgrasp.files import licences
 from dgrasp.hand.layout import HandNames
 from dgrasp.hand.mano.layout import MANO_NAMES
 from dgrasp.labels.formats import official
@@ -18,20 +20,70 @@ from dgrasp.labels.splits import object_set
 from dgrasp.objects.names import nearest, resolve_object
 from dgrasp.types import GraspLabel
 
-SOURCES = ("dexycb", "grasptta", "contactopt")
-SPLITS = ("train", "test")
-RELEASE_FILES: dict[tuple[str, str], str] = {
-    ("dexycb", "train"): "dexycb_train_labels.pkl",
-    ("dexycb", "test"): "dexycb_test_labels.pkl",
-    ("grasptta", "train"): "dexycb_grasptta_train.pkl",
-    ("grasptta", "test"): "dexycb_grasptta_test.pkl",
-    ("contactopt", "train"): "contact_opt_train.pkl",
-    ("contactopt", "test"): "contact_opt_test.pkl",
-}
-"""The label files of the authors' release, by source and split: those that the paper's tables are about."""
 
-_MANO_TERMS = "derived from MANO: non-commercial research only, no redistribution"
-_LICENCES = {"dexycb": f"DexYCB CC BY-NC 4.0; {_MANO_TERMS}"}
+@dataclass(frozen=True)
+class LabelSource:
+    """Labels that `labels.source` names: which files hold them, and under which terms.
+
+    files: split ("train", "test") -> name of its file in labels/ of the data's folder. comparable_with_paper: whether
+    the paper's tables are about these labels.
+    """
+
+    name: str
+    files: Mapping[str, str]
+    licence: str
+    comparable_with_paper: bool
+
+
+_RELEASED = (
+    LabelSource("dexycb", {"train": "dexycb_train_labels.pkl", "test": "dexycb_test_labels.pkl"},
+                licences.DEXYCB, comparable_with_paper=True),
+    LabelSource("grasptta", {"train": "dexycb_grasptta_train.pkl", "test": "dexycb_grasptta_test.pkl"},
+                licences.MANO, comparable_with_paper=True),
+    LabelSource("contactopt", {"train": "contact_opt_train.pkl", "test": "contact_opt_test.pkl"},
+                licences.MANO, comparable_with_paper=True),
+)  # fmt: skip
+RELEASED = {source.name: source for source in _RELEASED}
+"""The sources of a folder laid out like the authors' release, by name: those that a config can name."""
+
+FREE = LabelSource("free", {"train": "free_train.npz", "test": "free_test.npz"}, licences.PROJECT,
+                   comparable_with_paper=False)  # fmt: skip
+"""The free set's own labels."""
+
+
+class FileContent(NamedTuple):
+    """What a label file holds: labels in its order, the hand's id and names, and its terms if it states any."""
+
+    labels: list[GraspLabel]
+    hand: str
+    names: HandNames
+    licence: str | None
+
+
+@dataclass(frozen=True)
+class LabelFormat:
+    """A format of label files. head: the first bytes of each. name, expected: what messages call it, and ask for."""
+
+    head: bytes
+    name: str
+    expected: str
+    read: Callable[[Path], FileContent]
+
+
+def _read_pickle(path: Path) -> FileContent:
+    return FileContent(official.read_official(path), official.HAND, MANO_NAMES, None)
+
+
+def _read_npz(path: Path) -> FileContent:
+    labels, meta = read_native_with_meta(path)
+    return FileContent(labels, meta["hand"], names_of(meta), meta["licence"])
+
+
+FORMATS = (
+    LabelFormat(b"\x80", "a joblib pickle", "a release's .pkl", _read_pickle),
+    LabelFormat(b"PK", "a .npz file", "a .npz written by `dgrasp labels`", _read_npz),
+)
+"""The formats that are read. A file's content, not its name, says which one it has."""
 
 
 @dataclass(frozen=True)
@@ -68,28 +120,36 @@ def sha256_of(path: Path) -> str:
 
 
 def load_labels(path: Path) -> LabelSet:
-    """The labels of `path`; its content, not its name, says which reader it needs.
+    """The labels of `path`, in any of `FORMATS`.
 
-    Raises `DataError` for a file that is missing, of neither format, or bad.
+    Raises `DataError` for a file that is missing, of no such format, or bad.
     """
-    path = Path(path)
+    path, expected = Path(path), " or ".join(form.expected for form in FORMATS)
     if not os.path.isfile(path):
-        raise DataError(f"{path}: no such label file; expected a release's .pkl or a .npz written by `dgrasp labels`")
+        raise DataError(f"{path}: no such label file; expected {expected}")
     try:
         with path.open("rb") as stream:
-            head = stream.read(4)
+            head = stream.read(max(4, *(len(form.head) for form in FORMATS)))
     except OSError as error:
         raise DataError(f"{path}: cannot be read ({error.strerror or error})") from None
-    if head.startswith(b"PK"):
-        labels, meta = read_native_with_meta(path)
-        return LabelSet(labels, meta["hand"], names_of(meta), meta["licence"], path, sha256_of(path), None, False)
-    if head.startswith(b"\x80"):
-        labels = official.read_official(path)
-        known = next((key for key, name in RELEASE_FILES.items() if name == path.name), None)
-        licence = _LICENCES.get(known[0] if known else "", _MANO_TERMS)
-        return LabelSet(labels, official.HAND, MANO_NAMES, licence, path, sha256_of(path), known, known is not None)
-    raise DataError(f"{path}: neither a joblib pickle nor a .npz file (it begins with {head!r}); expected a release's "
-                    ".pkl or a .npz written by `dgrasp labels`")
+    form = next((form for form in FORMATS if head.startswith(form.head)), None)
+    if form is None:
+        formats = " nor ".join(form.name for form in FORMATS)
+        raise DataError(f"{path}: neither {formats} (it begins with {head!r}); expected {expected}")
+    labels, hand, names, licence = form.read(path)
+    # The files of the release state nothing of themselves: their names do.
+    known = published_as(path.name) if licence is None else None
+    source = RELEASED[known[0]] if known else None
+    if licence is None:
+        licence = source.licence if source else licences.MANO
+    comparable = source is not None and source.comparable_with_paper
+    return LabelSet(labels, hand, names, licence, path, sha256_of(path), known, comparable)
+
+
+def published_as(name: str) -> tuple[str, str] | None:
+    """(source, split) of a file of the authors' release, by the file's name; None for other names."""
+    files = {file: (source.name, split) for source in RELEASED.values() for split, file in source.files.items()}
+    return files.get(name)
 
 
 def select(labels: LabelSet, objects: Sequence[str] = (), limit_per_object: int | None = None) -> LabelSet:

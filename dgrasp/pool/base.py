@@ -16,8 +16,8 @@ from dgrasp.errors import DGraspError
 from dgrasp.hand.model import HandModel
 from dgrasp.objects.model import ObjectModel
 from dgrasp.rl.collect import Actor, Incident
-from dgrasp.rl.vec_env import Step, VecEnv
-from dgrasp.scene.state import StepArrays
+from dgrasp.rl.step import Step
+from dgrasp.rl.vec_env import VecEnv
 from dgrasp.types import Array, GraspLabel, SceneState
 
 
@@ -72,11 +72,6 @@ class SizedPool:
     def drain_incidents(self) -> list[Incident]:
         incidents, self._incidents = self._incidents, []
         return incidents
-
-
-def as_step(o: StepArrays) -> Step:
-    """What a step wrote, for the learner; views, no copies."""
-    return Step(o.observation, o.reward, o.terminated, o.truncated, o.final_observation, o.reward_terms, o.broken)
 
 
 class Pool(VecEnv, Protocol):

@@ -28,10 +28,10 @@ import numpy as np
 from dgrasp.control.motion import Fingers
 from dgrasp.env.grasp_env import Mode
 from dgrasp.pool.balance import costs, imbalance, stretches
-from dgrasp.pool.base import PoolError, PoolSpec, SizedPool, WorkerLost, as_step
-from dgrasp.pool.worker import FAILED, QUIT, STEP, Layout, Shared, Told, shared_arrays, work
+from dgrasp.pool.base import PoolError, PoolSpec, SizedPool, WorkerLost
+from dgrasp.pool.worker import FAILED, QUIT, STEP, Shared, Told, shared_arrays, work
 from dgrasp.rl.collect import Actor, Trajectories
-from dgrasp.rl.vec_env import Step
+from dgrasp.rl.step import Layout, Step
 from dgrasp.types import Array
 
 _THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
@@ -214,7 +214,7 @@ class ProcessPool(SizedPool):
     def step(self, actions: Array) -> Step:
         self._shared.actions[:] = actions
         self._command(STEP)
-        return as_step(self._shared.out)
+        return self._shared.out
 
     def remove_table(self) -> None:
         self._command(pickle.dumps(("remove_table",)))

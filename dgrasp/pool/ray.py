@@ -1,7 +1,7 @@
 """Environments on the machines of a Ray cluster: whole epochs per call, for a call costs milliseconds there.
 
-An actor holds one part of the environments. To collect an epoch, the policy goes to the cluster's object store once,
-each actor fetches it, plays all control steps and returns its trajectories. An actor that dies is started again,
+A worker holds one part of the environments. To collect an epoch, the policy goes to the cluster's object store once,
+each worker fetches it, plays all control steps and returns its trajectories. A worker that dies is started again,
 wherever there is room; what it had collected is dropped. One that is late is left behind for this epoch, so that a slow
 machine costs experience but not time (`pool.patience`).
 
@@ -16,88 +16,27 @@ import sys
 import time
 from collections.abc import Callable
 from contextlib import suppress
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from dgrasp.control.motion import Fingers
 from dgrasp.env.grasp_env import Mode
 from dgrasp.errors import ConfigError
-from dgrasp.pool.base import PoolError, PoolSpec, SizedPool, WorkerLost, as_step, make_env
+from dgrasp.pool.base import PoolError, PoolSpec, SizedPool, WorkerLost
+from dgrasp.pool.ray_worker import Collected, RayWorker, Stepped
 from dgrasp.pool.worker import Told
-from dgrasp.rl.collect import Actor, Incident, Trajectories, collect
-from dgrasp.rl.vec_env import Step
-from dgrasp.scene.state import StepArrays, copy_state, state_size, state_views
+from dgrasp.rl.collect import Actor, Trajectories
+from dgrasp.rl.step import Step
+from dgrasp.scene.state import copy_state, state_views
 from dgrasp.types import Array
 
 _POLL_S = 0.2
 _SAY_AFTER_S = 30.0
 """After this long a busy cluster is said to be waited for."""
 _LOSSES_IN_A_ROW = 3
-"""An actor that is lost this often without a success in between will not get better."""
+"""A worker that is lost this often without a success in between will not get better."""
 _ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
-
-
-class Collected(NamedTuple):
-    """What an actor brings from an epoch; the arrays are those of `Trajectories`, for its environments."""
-
-    arrays: dict[str, Array]
-    incidents: list[Incident]
-    told: Told
-
-
-class Seen(NamedTuple):
-    """What an actor says after a step or a reset: the arrays of `StepArrays`, and the state in one block."""
-
-    arrays: dict[str, Array]
-    state: Array
-
-
-class Rollouts:
-    """Some environments of the pool; its methods run on a machine of the cluster."""
-
-    def __init__(self, spec: PoolSpec, rows: slice) -> None:
-        self.env = make_env(spec, rows)
-        self.indices = self.env.indices
-        self._block = np.zeros(self.env.num_envs * state_size(spec.hand.layout))
-        self._state = state_views(self.env.num_envs, spec.hand.layout, self._block)
-        self._trajectories: Trajectories | None = None
-
-    def process_id(self) -> int:
-        """Also says that the environments are there."""
-        return os.getpid()
-
-    def collect(self, actor: Actor, epoch: int, steps: int) -> Collected:
-        env = self.env
-        if self._trajectories is None or len(self._trajectories.reward) != steps:
-            sizes = (steps, env.num_envs, env.observation_size, env.action_size, len(env.reward_terms))
-            self._trajectories = Trajectories.allocate(*sizes)
-        incidents = collect(env, actor, epoch, self.indices, self._trajectories, lambda steps: None)
-        return Collected(vars(self._trajectories), incidents, self.tell())
-
-    def tell(self) -> Told:
-        told = Told(self.env.seconds_per_env, self.env.steps_made, self.env.events, [])
-        self.env.events = []
-        return told
-
-    def reset(self, epoch: int, mode: Mode) -> Seen:
-        self.env.reset(epoch, mode)
-        return self._seen()
-
-    def step(self, actions: Array) -> Seen:
-        self.env.step(actions)
-        return self._seen()
-
-    def remove_table(self) -> None:
-        self.env.remove_table()
-
-    def begin_motion(self, path: Array, fingers: Fingers) -> Seen:
-        self.env.begin_motion(path, fingers)
-        return self._seen()
-
-    def _seen(self) -> Seen:
-        copy_state(self.env.s, self._state, slice(None))
-        return Seen(vars(self.env.o), self._block)
 
 
 class RayPool(SizedPool):
@@ -113,23 +52,24 @@ class RayPool(SizedPool):
         self._ours = not ray.is_initialized()
         if self._ours:
             self._connect()
-        self._actors: list[Any] = []
+        self._members: list[Any] = []
+        """Handles of the workers."""
         try:
             self._workers = self._fitting_workers()
             self._rows = [slice(w, self.num_envs, self._workers) for w in range(self._workers)]
-            self._remote = ray.remote(num_cpus=1, runtime_env={"env_vars": _ONE_THREAD})(Rollouts)
+            self._remote = ray.remote(num_cpus=1, runtime_env={"env_vars": _ONE_THREAD})(RayWorker)
             self._spec_ref = ray.put(spec)
-            self._actors = [self._remote.remote(self._spec_ref, rows) for rows in self._rows]
+            self._members = [self._remote.remote(self._spec_ref, rows) for rows in self._rows]
             self._await_ready()
         except BaseException:
             self.close()
             raise
         self.state = state_views(self.num_envs, self.hand)
-        self._out = StepArrays.allocate(self.num_envs, self.observation_size, len(self.reward_terms))
+        self._out = Step.allocate(self.num_envs, self.observation_size, len(self.reward_terms))
         self._trajectories: Trajectories | None = None
         self._lost, self._losses = 0, [0] * self._workers
         self._late: dict[int, Any] = {}
-        """Actors that are still busy with an epoch that went on without them, and what they will answer."""
+        """Workers that are still busy with an epoch that went on without them: the pending answer, and since when."""
         self._told, self._physics = np.zeros(self._workers), 0.0
         self._start = (time.perf_counter(), 0.0)
 
@@ -152,31 +92,31 @@ class RayPool(SizedPool):
             ) from None
 
     def _fitting_workers(self) -> int:
-        """How many actors there will be; `ConfigError` if the cluster has fewer CPUs than that."""
+        """How many workers there will be; `ConfigError` if the cluster has fewer CPUs than that."""
         cpus = int(self._ray.cluster_resources().get("CPU", 0))
         workers = max(1, min(self._config.workers or cpus, self.num_envs))
         if workers > cpus:
             # Those without a CPU would be waited for, for ever.
             raise ConfigError(
-                f"pool.workers: {workers} actors take a CPU each, and the Ray cluster has {cpus}; expected at most "
+                f"pool.workers: {workers} workers take a CPU each, and the Ray cluster has {cpus}; expected at most "
                 "that, or null for as many as there are"
             )
         return workers
 
     def _await_ready(self) -> None:
-        ready = [actor.process_id.remote() for actor in self._actors]
+        ready = [member.process_id.remote() for member in self._members]
         _, late = self._ray.wait(ready, num_returns=len(ready), timeout=_SAY_AFTER_S)
         if late:
             free = int(self._ray.available_resources().get("CPU", 0))
-            print(f"waiting for {len(late)} of {len(ready)} actors, which take a CPU each; the Ray cluster has {free} "
+            print(f"waiting for {len(late)} of {len(ready)} workers, which take a CPU each; the Ray cluster has {free} "
                   "free", file=sys.stderr, flush=True)
         for w in range(self._workers):
             try:
                 self._ray.get(ready[w])
             except self._ray.exceptions.RayTaskError as error:
-                raise PoolError(f"actor {w} failed:\n{error}") from None
+                raise PoolError(f"worker {w} failed:\n{error}") from None
             except self._ray.exceptions.RayError as error:
-                message = f"actor {w} could not start ({error}); is there enough memory for its worlds?"
+                message = f"worker {w} could not start ({error}); is there enough memory for its worlds?"
                 raise PoolError(message) from None
 
     # What a learner needs ----------------------------------------------------------------------
@@ -190,7 +130,7 @@ class RayPool(SizedPool):
         self._drop_what_came_late()
         weights = self._ray.put(actor)
         asked = [w for w in range(self._workers) if w not in self._late]
-        pending = {self._actors[w].collect.remote(weights, epoch, steps): w for w in asked}
+        pending = {self._members[w].collect.remote(weights, epoch, steps): w for w in asked}
         started, took = time.monotonic(), list[float]()
         try:
             while pending:
@@ -201,7 +141,7 @@ class RayPool(SizedPool):
                     if self._take(w, answer):
                         took.append(now)
                         advance(int(self._trajectories.part(self._rows[w]).valid.sum()) * steps)
-                # Late is who takes several times as long as half of the others.
+                # A worker is late once it exceeds `patience` times the median of those that have finished.
                 half = len(took) >= max(1, (len(asked) + 1) // 2)
                 if half and now > max(self._config.patience * statistics.median(took), _POLL_S):
                     break
@@ -209,28 +149,28 @@ class RayPool(SizedPool):
             for answer, w in pending.items():
                 self._late[w] = (answer, time.monotonic())
         for w in pending.values():
-            self._events.append(f"actor {w} is late; the experience of its environments in this epoch is dropped")
+            self._events.append(f"worker {w} is late; the experience of its environments in this epoch is dropped")
         return self._trajectories
 
     def _take(self, w: int, answer: Any) -> bool:
-        """Put what an actor brought into the trajectories; false if it is lost, and replaced."""
+        """Put what a worker returned into the trajectories; false if it is lost, and replaced."""
         assert self._trajectories is not None
         try:
             got: Collected = self._ray.get(answer)
         except self._ray.exceptions.RayTaskError as error:
-            raise PoolError(f"actor {w} failed:\n{error}") from None
+            raise PoolError(f"worker {w} failed:\n{error}") from None
         except self._ray.exceptions.RayError:
             self._replace(w, "died; the experience of its environments in this epoch is dropped")
             return False
         for name, array in vars(self._trajectories.part(self._rows[w])).items():
-            array[...] = got.arrays[name]
+            array[...] = getattr(got.trajectories, name)
         self._incidents += got.incidents
         self._hear(w, got.told)
         self._losses[w] = 0
         return True
 
     def _drop_what_came_late(self) -> None:
-        """Late actors that are done are asked again; those that never end are replaced."""
+        """Late workers that are done are asked again; those that never end are replaced."""
         for w, (answer, since) in list(self._late.items()):
             done, _ = self._ray.wait([answer], timeout=0)
             if done:
@@ -242,16 +182,16 @@ class RayPool(SizedPool):
                 self._replace(w, f"hung for {self._config.hang_s:g} s (pool.hang_s)")
 
     def _replace(self, w: int, why: str) -> None:
-        """A new actor with the same environments, on whatever machine has room."""
-        self._events.append(f"actor {w} {why}")
+        """A new worker with the same environments, on whatever machine has room."""
+        self._events.append(f"worker {w} {why}")
         self._losses[w] += 1
         self._lost += 1
         if self._losses[w] >= _LOSSES_IN_A_ROW:
             times = self._losses[w]
-            raise PoolError(f"actor {w} was lost {times} times in a row; is there enough memory for its worlds?")
+            raise PoolError(f"worker {w} was lost {times} times in a row; is there enough memory for its worlds?")
         with suppress(self._ray.exceptions.RayError):
-            self._ray.kill(self._actors[w])
-        self._actors[w] = self._remote.remote(self._spec_ref, self._rows[w])
+            self._ray.kill(self._members[w])
+        self._members[w] = self._remote.remote(self._spec_ref, self._rows[w])
         self._told[w] = 0.0
 
     def _hear(self, w: int, told: Told) -> None:
@@ -275,46 +215,46 @@ class RayPool(SizedPool):
         self._begin()
         for w in list(self._late):
             del self._late[w]
-        self._see(lambda w: self._actors[w].reset.remote(epoch, mode))
+        self._all(lambda w: self._members[w].reset.remote(epoch, mode))
         return self._out.observation
 
     def step(self, actions: Array) -> Step:
-        self._see(lambda w: self._actors[w].step.remote(actions[self._rows[w]]))
-        return as_step(self._out)
+        self._all(lambda w: self._members[w].step.remote(actions[self._rows[w]]))
+        return self._out
 
     def remove_table(self) -> None:
-        self._all(lambda w: self._actors[w].remove_table.remote())
+        self._all(lambda w: self._members[w].remove_table.remote())
 
     def begin_motion(self, path: Array, fingers: Fingers = "policy") -> None:
-        self._see(lambda w: self._actors[w].begin_motion.remote(path[self._rows[w]], fingers))
+        self._all(lambda w: self._members[w].begin_motion.remote(path[self._rows[w]], fingers))
 
-    def _see(self, call: Callable[[int], Any]) -> None:
-        for w, seen in enumerate(self._all(call)):
-            rows = self._rows[w]
-            for name, array in seen.arrays.items():
-                getattr(self._out, name)[rows] = array
-            copy_state(state_views(len(range(self.num_envs)[rows]), self.hand, seen.state), self.state, rows)
+    def _all(self, call: Callable[[int], Any]) -> None:
+        """Take over what every worker returns of a call.
 
-    def _all(self, call: Callable[[int], Any]) -> list[Any]:
-        """Every actor's answer. Lost ones are replaced, and then `WorkerLost` says that they gave none."""
-        answers, got, lost = [call(w) for w in range(self._workers)], [], []
+        Lost workers are replaced, and then `WorkerLost` says that they returned nothing.
+        """
+        answers, lost = [call(w) for w in range(self._workers)], []
         for w, answer in enumerate(answers):
             try:
-                got.append(self._ray.get(answer, timeout=self._config.hang_s))
-                self._losses[w] = 0
+                stepped: Stepped = self._ray.get(answer, timeout=self._config.hang_s)
             except self._ray.exceptions.RayTaskError as error:
-                raise PoolError(f"actor {w} failed:\n{error}") from None
+                raise PoolError(f"worker {w} failed:\n{error}") from None
             except (self._ray.exceptions.RayError, TimeoutError) as error:
                 self._replace(w, "was lost in a test")
-                lost.append(f"actor {w}: {type(error).__name__}")
+                lost.append(f"worker {w}: {type(error).__name__}")
+                continue
+            self._losses[w] = 0
+            rows = self._rows[w]
+            self._out.write(rows, stepped.step)
+            copy_state(state_views(len(range(self.num_envs)[rows]), self.hand, stepped.state), self.state, rows)
+            self._hear(w, stepped.told)
         if lost:
             raise WorkerLost("; ".join(lost))
-        return got
 
     def close(self) -> None:
-        for actor in self._actors:
+        for member in self._members:
             with suppress(Exception):
-                self._ray.kill(actor)
-        self._actors = []
+                self._ray.kill(member)
+        self._members = []
         if self._ours:
             self._ray.shutdown()

@@ -7,9 +7,9 @@ from collections.abc import Callable
 
 from dgrasp.control.motion import Fingers
 from dgrasp.env.grasp_env import Mode
-from dgrasp.pool.base import PoolSpec, as_step, make_env
+from dgrasp.pool.base import PoolSpec, make_env
 from dgrasp.rl.collect import Actor, Incident, Trajectories, collect
-from dgrasp.rl.vec_env import Step
+from dgrasp.rl.step import Step
 from dgrasp.types import Array
 
 
@@ -32,7 +32,7 @@ class SerialPool:
         return self.env.reset(epoch, mode)
 
     def step(self, actions: Array) -> Step:
-        return as_step(self.env.step(actions))
+        return self.env.step(actions)
 
     def collect(self, actor: Actor, epoch: int, steps: int, advance: Callable[[int], None]) -> Trajectories:
         if self._trajectories is None or len(self._trajectories.reward) != steps:

@@ -8,7 +8,7 @@ import traceback
 from contextlib import suppress
 from multiprocessing.connection import Connection
 from multiprocessing.shared_memory import SharedMemory
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -17,13 +17,13 @@ from dgrasp.env.grasp_env import GraspEnv, Mode
 from dgrasp.hand.layout import HandLayout
 from dgrasp.pool.base import PoolSpec, make_env
 from dgrasp.rl.collect import Actor, Incident, Trajectories, collect
-from dgrasp.scene.state import StepArrays, copy_state, state_size, state_views
+from dgrasp.rl.step import Layout, Step
+from dgrasp.scene.state import copy_state, state_size, state_views
 from dgrasp.types import Array, SceneState
 
 OK, FAILED = b"k", b"e"
 """First bytes of an answer; a failure goes on with its traceback."""
 STEP, QUIT = b"s", b"q"
-Layout = dict[str, tuple[tuple[int, ...], Any]]
 
 
 class _Stopped(Exception):
@@ -48,17 +48,12 @@ class Shared:
         self, n: int, hand: HandLayout, observation_size: int, action_size: int, n_terms: int, workers: int,
         name: str | None = None,
     ) -> None:
+        # The widest types first, so that every array is aligned.
         layout: Layout = {
             "state": ((n * state_size(hand),), np.float64),
             "counts": ((workers,), np.int64),
             "actions": ((n, action_size), np.float32),
-            "observation": ((n, observation_size), np.float32),
-            "final_observation": ((n, observation_size), np.float32),
-            "reward": ((n,), np.float32),
-            "reward_terms": ((n, n_terms), np.float32),
-            "terminated": ((n,), np.bool_),
-            "truncated": ((n,), np.bool_),
-            "broken": ((n,), np.bool_),
+            **Step.layout(n, observation_size, n_terms),
             "stop": ((1,), np.bool_),
         }
         self.memory, arrays = shared_arrays(layout, name)
@@ -68,12 +63,11 @@ class Shared:
         """Control steps that each worker has made in this collection."""
         self.stop: Array = arrays.pop("stop")
         """Tells the workers to end a collection early."""
-        self.out = StepArrays(**arrays)
+        self.out = Step(**arrays)
 
     def write(self, env: GraspEnv, rows: slice) -> None:
         """Publish what an environment's step wrote."""
-        for name, array in vars(env.o).items():
-            getattr(self.out, name)[rows] = array
+        self.out.write(rows, env.o)
         if env.mode != "train":
             copy_state(env.s, self.state, rows)
 

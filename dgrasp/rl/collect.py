@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple, Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
 from dgrasp.errors import DataError
+from dgrasp.rl.step import Layout, Step
 from dgrasp.types import Array
 
 LEAK = 0.01
@@ -69,9 +70,7 @@ class Trajectories:
     valid: Array
 
     @staticmethod
-    def layout(
-        steps: int, envs: int, observation: int, action: int, terms: int, finals: int = 1
-    ) -> dict[str, tuple[tuple[int, ...], Any]]:
+    def layout(steps: int, envs: int, observation: int, action: int, terms: int, finals: int = 1) -> Layout:
         """Shape and type of each array; `finals`: how many episodes of an environment may be truncated."""
         return {
             "observations": ((steps, envs, observation), np.float32),
@@ -117,32 +116,13 @@ class Incident(NamedTuple):
     actions: Array
 
 
-class Stepped(Protocol):
-    """What a step returns; see `dgrasp.rl.vec_env.Step`."""
-
-    @property
-    def observation(self) -> Array: ...
-    @property
-    def reward(self) -> Array: ...
-    @property
-    def terminated(self) -> Array: ...
-    @property
-    def truncated(self) -> Array: ...
-    @property
-    def final_observation(self) -> Array: ...
-    @property
-    def reward_terms(self) -> Array: ...
-    @property
-    def broken(self) -> Array: ...
-
-
 class Steppable(Protocol):
     """Environments in this process; those that are not `active` after a reset take no part."""
 
     @property
     def active(self) -> Array: ...
     def reset(self, epoch: int) -> Array: ...
-    def step(self, actions: Array) -> Stepped: ...
+    def step(self, actions: Array) -> Step: ...
 
 
 def collect(

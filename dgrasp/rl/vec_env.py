@@ -3,30 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import NamedTuple, Protocol
+from typing import Protocol
 
 from dgrasp.rl.collect import Actor, Incident, Trajectories
-from dgrasp.types import Array
-
-
-class Step(NamedTuple):
-    """One control step of N environments. The arrays are views that the next call overwrites.
-
-    observation: (N, O) float32, where an episode ended already the first one of the next episode.
-    reward: (N,) float32. terminated, truncated: (N,) bool; a truncated episode ran into its time limit.
-    final_observation: (N, O) float32, the last observation of the episode that just ended; valid where
-        terminated or truncated.
-    reward_terms: (N, K) float32, weighted, in the order of `VecEnv.reward_terms`.
-    broken: (N,) bool, terminated because the simulation broke.
-    """
-
-    observation: Array
-    reward: Array
-    terminated: Array
-    truncated: Array
-    final_observation: Array
-    reward_terms: Array
-    broken: Array
 
 
 class VecEnv(Protocol):

@@ -1,8 +1,7 @@
-"""The arrays of N environments: their `SceneState`, a block that may be shared memory, and what a step says."""
+"""The `SceneState` of N environments: arrays in one block, which may be shared memory."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TypeVar
 
 import numpy as np
@@ -66,29 +65,3 @@ def copy_state(source: SceneState, target: SceneState, rows: slice) -> None:
     """Writes a state of some environments into their rows of a larger one."""
     for name, values in vars(source).items():
         getattr(target, name)[rows] = values
-
-
-@dataclass
-class StepArrays:
-    """What a step writes, one row per environment; the pool may lay these over shared memory."""
-
-    observation: Array
-    final_observation: Array
-    reward: Array
-    reward_terms: Array
-    terminated: Array
-    truncated: Array
-    broken: Array
-
-    @classmethod
-    def allocate(cls, n: int, observation_size: int, n_terms: int) -> StepArrays:
-        """Fresh arrays: float32, and bool for the ends."""
-        return cls(
-            np.zeros((n, observation_size), np.float32),
-            np.zeros((n, observation_size), np.float32),
-            np.zeros(n, np.float32),
-            np.zeros((n, n_terms), np.float32),
-            np.zeros(n, bool),
-            np.zeros(n, bool),
-            np.zeros(n, bool),
-        )

@@ -112,7 +112,6 @@ class Synthesiser:
 
         Raises `ConfigError` where too few sound grasps are found.
         """
-        torch.manual_seed(0)
         wanted = round(_CHECKED_PER_LABEL * count)
         parts, starts = self._search(make_setting(model), count, wanted, rng, batch, iterations)
         order = _farthest_first(self._features(parts), parts.quality, min(wanted, len(starts)))

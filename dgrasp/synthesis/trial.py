@@ -8,8 +8,7 @@ import numpy as np
 
 from dgrasp.config.experiment import Config
 from dgrasp.env.grasp_env import GraspEnv
-from dgrasp.eval.metrics import FALLEN_HEIGHT
-from dgrasp.hand.mano.skeleton import N_DOF
+from dgrasp.eval.metrics import has_fallen
 from dgrasp.hand.model import HandModel
 from dgrasp.objects.model import ObjectModel
 from dgrasp.types import Array, GraspLabel
@@ -27,22 +26,22 @@ def gt_pd_holds(labels: list[GraspLabel], hand: HandModel, model: ObjectModel, c
 def _some_hold(labels: list[GraspLabel], hand: HandModel, model: ObjectModel, config: Config) -> Array:
     env = GraspEnv(labels, hand, {model.name: model}, config)
     env.reset(mode="label")
-    still = np.zeros((len(labels), N_DOF))
+    still = np.zeros((len(labels), hand.layout.n_dof))
     holds = outlasts_window(env, lambda: still)
     env.close()
     return holds
 
 
 def outlasts_window(env: GraspEnv, actions: Callable[[], Array]) -> Array:
-    """(N,) bool: who holds the object without a table for the test's window, under actions (N, A) of each step."""
-    left = np.zeros(env.num_envs, bool)
+    """(N,) bool: success of the test (`eval.metrics.success`) from where the environments are, their tables gone.
+
+    actions: (N, A) of each step. An environment that drops its object is not simulated further.
+    """
+    held = np.ones(env.num_envs, bool)
     for _ in range(env.config.window_steps):
         env.step(actions())
-        # What has fallen needs no more physics.
-        fallen = env.s.table_contact.astype(bool) | (env.s.object_pos_W[:, 2] <= FALLEN_HEIGHT)
-        left |= env.alive & fallen
-        env.alive &= ~fallen
-    holds = env.alive.copy()
-    # Who was left alone is whole, unlike who broke: the next reset need not make its world anew.
-    env.alive |= left
-    return holds
+        fallen = has_fallen(env.s.table_contact, env.s.object_pos_W[:, 2])
+        env.rest(fallen)
+        held &= ~fallen
+    # A broken simulation ends its episode early.
+    return held & env.alive

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from dgrasp.rl.collect import Actor, Trajectories, collect
 from dgrasp.scene.scene import Scene
 from dgrasp.scene.worlds import MAX_FALL, MAX_SPEED
 from dgrasp.types import Array
@@ -50,6 +51,7 @@ def test_a_broken_simulation_ends_its_own_episode(fault: tuple[str, float]) -> N
     for t in range(5):
         if t == 2:
             faulty.scenes[1].fault = fault  # type: ignore[attr-defined]
+        before = faulty.o.observation[1].copy()
         out, expected = faulty.step(actions(2, t)), sound.step(actions(2, t))
         assert out.terminated.tolist() == [False, t == 2] and not out.truncated.any()
         for array in (out.observation, out.final_observation, out.reward, out.reward_terms):
@@ -60,10 +62,33 @@ def test_a_broken_simulation_ends_its_own_episode(fault: tuple[str, float]) -> N
             assert out.reward[1] == 0.0 and not out.reward_terms[1].any()
             assert faulty.clock.tolist() == [3, 0]
             assert np.array_equal(faulty.s.object_pos_W[1], faulty.s.object_start_W[1])
+            # The last sound observation of the episode that broke, not the first of the next one.
+            assert np.array_equal(out.final_observation[1], before)
+            assert not np.array_equal(out.observation[1], before)
     (event,) = faulty.events
     assert "env 6" in event and label(6).name in event and "step 3" in event
     faulty.close()
     sound.close()
+
+
+def test_what_a_broken_episode_ends_with_is_nothing_to_learn_from() -> None:
+    """The learner takes final observations of truncated episodes alone: these arrays have none of the broken ones."""
+    steps = 6
+    env = make_env(2, overrides=[*QUICK, f"env.episode_steps={steps}", "env.grasp_steps=1"], make_scene=Faulty)
+    out = Trajectories.allocate(steps, 2, env.observation_size, env.action_size, len(env.reward_terms))
+    layer = (np.zeros((51, env.observation_size), np.float32), np.zeros(51, np.float32))
+    actor, made = Actor((layer,), np.full(51, 0.5, np.float32), 5), []
+
+    def fail_once(_: int) -> None:
+        made.append(1)
+        if len(made) == 3:
+            env.scenes[1].fault = ("gc", np.nan)  # type: ignore[attr-defined]
+
+    collect(env, actor, 1, [0, 1], out, fail_once)
+    assert out.terminated[:, 1].tolist() == [False, False, False, True, False, False] and not out.truncated[:, 1].any()
+    assert out.truncated[:, 0].tolist() == [False] * 5 + [True]
+    assert out.final_observations[:, 0].any() and not out.final_observations[:, 1].any()
+    env.close()
 
 
 def test_a_long_fall_past_the_table_is_no_broken_simulation() -> None:

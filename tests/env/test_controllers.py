@@ -81,11 +81,11 @@ def test_the_scale_of_the_action() -> None:
     assert WristGuidance(own, LAYOUT).sigma.tolist() == [0.002] * 3 + [0.03] * 3 + [0.04] * 45
 
 
-def test_who_is_stiff_and_who_carries() -> None:
+def test_the_wrist_is_stiff_where_it_holds_the_object() -> None:
     state = random_state(1)
     soft = [WristGuidance(ACTION, LAYOUT), Residual(ACTION, LAYOUT)]
     firm = [WristHold(ACTION, LAYOUT, state), LabelPose(ACTION, LAYOUT)]
-    assert [(c.kp_position, c.carries) for c in soft] == [(50.0, False)] * 2
-    assert [(c.kp_position, c.carries) for c in firm] == [(HOLD_KP_POSITION, True)] * 2 == [(500.0, True)] * 2
+    assert [c.kp_position for c in soft] == [50.0] * 2
+    assert [c.kp_position for c in firm] == [HOLD_KP_POSITION] * 2 == [500.0] * 2
     by_name = {"guidance": WristGuidance, "residual": Residual}
     assert by_name == GRASP_CONTROLLERS

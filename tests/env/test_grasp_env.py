@@ -12,6 +12,7 @@ import pytest
 from dgrasp.config.experiment import load_config
 from dgrasp.env.grasp_env import GraspEnv
 from dgrasp.scene.scene import LOWERED_TOP, TABLE_TOP, Scene
+from dgrasp.scene.worlds import Worlds
 from dgrasp.types import Array
 from raisim_like.rotations import euler_from_matrix
 from tests.env.build import actions, box, hand, label, make_env
@@ -190,6 +191,23 @@ def test_test_mode_has_no_noise_and_no_end() -> None:
     env.close()
 
 
+def test_environments_that_are_told_to_rest_stay_as_they_are() -> None:
+    env, other = (make_env(2, overrides=QUICK) for _ in range(2))
+    env.reset(0, mode="test")
+    other.reset(0, mode="test")
+    env.step(actions(2, 0))
+    other.step(actions(2, 0))
+    env.rest(np.array([False, True]))
+    before = env.s.gc[1].copy(), env.s.object_pos_W[1].copy()
+    for t in range(1, 4):
+        assert np.array_equal(env.step(actions(2, t)).observation[0], other.step(actions(2, t)).observation[0])
+    assert np.array_equal(env.s.gc[1], before[0]) and np.array_equal(env.s.object_pos_W[1], before[1])
+    assert env.clock.tolist() == [4, 1]
+    assert np.array_equal(env.reset(0, mode="test"), other.reset(0, mode="test"))
+    env.close()
+    other.close()
+
+
 def test_an_object_that_nobody_holds_falls_when_the_table_goes(engine: str, targets: list[Array]) -> None:
     env = make_env(1, overrides=[f"engine={engine}"])
     env.reset(0, mode="test")
@@ -223,6 +241,26 @@ def test_label_mode_starts_in_the_grasp_without_a_table() -> None:
     assert not env.s.table_contact[0]
     assert env.s.object_linvel_W[0, 2] < -0.15
     env.close()
+
+
+def test_the_wrist_carries_the_object_where_no_table_does(monkeypatch: pytest.MonkeyPatch) -> None:
+    told: list[tuple[float, bool]] = []
+    tell = Worlds.set_gains
+
+    def record(worlds: Worlds, i: int, kp_position: float, carries: bool = True) -> None:
+        told.append((kp_position, carries))
+        tell(worlds, i, kp_position, carries)
+
+    monkeypatch.setattr(Worlds, "set_gains", record)
+    one = make_env(1, overrides=QUICK)
+    one.reset(0)
+    one.reset(0, mode="test")
+    one.remove_table()
+    one.reset(0, mode="label")
+    one.reset(0, mode="test")
+    one.begin_motion(np.eye(4)[None, None])
+    assert told == [(50.0, False), (50.0, False), (500.0, True), (500.0, True), (50.0, False), (500.0, True)]
+    one.close()
 
 
 def make_with(**changes: Any) -> GraspEnv:

@@ -113,3 +113,18 @@ def test_overrides_are_laid_over_a_config_too():
     venv.close()
     with pytest.raises(ConfigError, match=r"labels\.object: unknown key"):
         GraspVectorEnv(1, cfg=load_config(None, FREE), overrides=["labels.object=[025_mug]"])
+
+
+def test_a_broken_simulation_ends_with_the_last_sound_observation(env):
+    before, _ = env.reset(seed=2)
+    nonsense = np.full(51, np.nan, np.float32)
+    observation, reward, terminated, _, _ = env.unwrapped.step(nonsense)
+    assert terminated and reward == 0.0 and np.array_equal(observation, before)
+    venv = gymnasium.make_vec("dgrasp/Grasp-v0", num_envs=2, overrides=FREE)
+    first = venv.reset(seed=3)[0]
+    actions = np.zeros((2, 51), np.float32)
+    actions[1] = np.nan
+    observation, _, terminated, _, info = venv.step(actions)
+    assert terminated.tolist() == [False, True] == info["_final_obs"].tolist()
+    assert np.array_equal(info["final_obs"][1], first[1]) and not np.array_equal(observation[1], first[1])
+    venv.close()

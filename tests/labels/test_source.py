@@ -7,8 +7,9 @@ import pytest
 
 from dgrasp.errors import DataError
 from dgrasp.hand.mano.layout import MANO_NAMES
+from dgrasp.labels import source
 from dgrasp.labels.formats.native import write_native
-from dgrasp.labels.source import LabelSet, load_labels, select
+from dgrasp.labels.source import FileContent, LabelFormat, LabelSet, LabelSource, load_labels, select
 from tests.labels.files import dexycb_content, dump, make_labels, static_content
 
 
@@ -41,6 +42,24 @@ def test_other_files_are_refused(tmp_path: Path, raw: bytes) -> None:
     (tmp_path / "a.pkl").write_bytes(raw)
     with pytest.raises(DataError, match=r"neither a joblib pickle nor a \.npz"):
         load_labels(tmp_path / "a.pkl")
+
+
+def test_a_new_format_and_a_new_source_are_an_entry_each(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    mine = LabelSource("mine", {"train": "mine_train.txt"}, "my terms", False)
+    monkeypatch.setitem(source.RELEASED, "mine", mine)
+    read = LabelFormat(b"mine", "a text file", "a .txt of mine", lambda path: FileContent(make_labels(), "free", None))
+    monkeypatch.setattr(source, "FORMATS", (*source.FORMATS, read))
+    (tmp_path / "mine_train.txt").write_bytes(b"mine: 1")
+    labels = load_labels(tmp_path / "mine_train.txt")
+    assert (labels.hand, labels.licence, labels.published_as) == ("free", "my terms", ("mine", "train"))
+    assert not labels.comparable_with_paper and len(labels.labels) == len(make_labels())
+    (tmp_path / "a.pkl").write_bytes(b"other")
+    with pytest.raises(DataError) as caught:
+        load_labels(tmp_path / "a.pkl")
+    assert str(caught.value).endswith(
+        "a.pkl: neither a joblib pickle nor a .npz file nor a text file (it begins with b'othe'); expected a release's "
+        ".pkl or a .npz written by `dgrasp labels` or a .txt of mine"
+    )
 
 
 def test_missing_file_and_folder(tmp_path: Path) -> None:

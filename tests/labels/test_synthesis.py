@@ -166,8 +166,11 @@ def test_labels_are_sound(made: synthesis.Synthesised, hand: TorchHand) -> None:
         assert label.start is not None and (label.start.hand_pose >= hand.model.limits[6:, 0]).all()
 
 
-def test_same_seed_same_labels(made: synthesis.Synthesised) -> None:
+def test_same_seed_same_labels_whatever_the_callers_generator_which_stays_as_it_is(made: synthesis.Synthesised) -> None:
+    torch.manual_seed(123)
+    before = torch.get_rng_state()
     again = few(1)
+    assert torch.equal(torch.get_rng_state(), before)
     for a, b in zip(made.labels, again.labels, strict=True):
         assert np.array_equal(a.hand_pose, b.hand_pose) and np.array_equal(a.T_WH, b.T_WH)
         assert a.start is not None and b.start is not None and np.array_equal(a.start.T_WH, b.start.T_WH)

@@ -98,7 +98,7 @@ def test_the_policy_keeps_the_fingers_or_they_are_held() -> None:
     state, out = random_state(2), np.empty((2, 51))
     free = MotionSynthesis(ACTION, MotionConfig(), LAYOUT)
     assert (free.sigma[:6] == 0.0).all() and (free.sigma[6:] == ACTION.sigma_fingers).all()
-    assert free.kp_position == HOLD_KP_POSITION == 500.0 and free.carries
+    assert free.kp_position == HOLD_KP_POSITION == 500.0
     free.bias(state, None, out)
     assert np.array_equal(out[:, 6:], state.gc[:, 6:])
     held = np.arange(90.0).reshape(2, 45)

@@ -11,12 +11,12 @@ import trimesh
 
 from dgrasp.objects.add import fit
 from dgrasp.objects.add.fit import fit_primitive, fit_shapes, union_overlap
-from dgrasp.objects.add.repair import Solid, repair
+from dgrasp.objects.add.repair import RepairedSolid, repair
 from raisim_like.shapes import Shape
 from tests.objects.meshes import SIZE, box, save
 
 
-def solid(mesh: trimesh.Trimesh) -> Solid:
+def solid(mesh: trimesh.Trimesh) -> RepairedSolid:
     return repair(np.asarray(mesh.vertices), np.asarray(mesh.faces))
 
 

@@ -8,11 +8,11 @@ import trimesh
 
 from dgrasp.errors import DataError
 from dgrasp.objects.add import rebuild
-from dgrasp.objects.add.repair import Solid, repair
+from dgrasp.objects.add.repair import RepairedSolid, repair
 from tests.objects.meshes import VOLUME, box, joined, plain
 
 
-def mended(mesh: trimesh.Trimesh) -> Solid:
+def mended(mesh: trimesh.Trimesh) -> RepairedSolid:
     solid = repair(np.asarray(mesh.vertices), np.asarray(mesh.faces))
     whole = trimesh.Trimesh(*solid.mesh, process=False)
     assert whole.is_watertight and whole.is_winding_consistent

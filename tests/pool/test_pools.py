@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pytest
@@ -30,7 +30,7 @@ def _run(pool, mode="train"):
         step = pool.step(rng.normal(size=(pool.num_envs, 51)).astype(np.float32))
         # Only ended episodes have a final observation.
         final = step.final_observation[step.terminated | step.truncated]
-        said += [np.array(part) for part in step._replace(final_observation=final)]
+        said += [np.array(part) for part in vars(replace(step, final_observation=final)).values()]
         if mode == "test":
             said += [pool.state.gc.copy(), pool.state.joints_W.copy(), pool.state.table_contact.copy()]
     return said

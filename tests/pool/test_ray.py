@@ -1,4 +1,4 @@
-"""The pool on a Ray cluster: held equal to the serial one to the bit, and whole when actors die."""
+"""The pool on a Ray cluster: held equal to the serial one to the bit, and whole when workers die."""
 
 from __future__ import annotations
 
@@ -55,12 +55,12 @@ def _collected(pool: Any, epoch: int) -> dict[str, Array]:
 def test_a_cluster_gives_what_one_process_gives(
     cluster: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    # Actors import for longer than that; on a busy cluster nobody is to wait without a word.
+    # Workers import for longer than that; on a busy cluster nobody is to wait without a word.
     monkeypatch.setattr("dgrasp.pool.ray._SAY_AFTER_S", 0.0)
     serial, pool = SerialPool(make_spec(3, QUICK)), make_pool(make_spec(3, QUICK))
-    assert "waiting for 2 of 2 actors" in capsys.readouterr().err
-    nodes = {ray.get(actor.process_id.remote()) for actor in pool._actors}  # type: ignore[attr-defined]
-    assert len(nodes) == 2, "one actor per node, for each has one core"
+    assert "waiting for 2 of 2 workers" in capsys.readouterr().err
+    nodes = {ray.get(member.process_id.remote()) for member in pool._members}  # type: ignore[attr-defined]
+    assert len(nodes) == 2, "one worker per node, for each has one core"
     theirs, ours = _collected(serial, 5), _collected(pool, 5)
     for name, array in theirs.items():
         assert array.tobytes() == ours[name].tobytes(), name
@@ -80,29 +80,53 @@ def test_a_cluster_gives_what_one_process_gives(
     serial.close()
 
 
-def test_a_killed_actor_is_started_again_and_its_experience_dropped(cluster: str) -> None:
+def test_a_test_reports_unstable_simulations_and_the_time_in_the_engine(cluster: str) -> None:
+    """As the process pool does: from steps and phases of a test too, not from collections alone."""
+    serial, pool = SerialPool(make_spec(3, QUICK)), make_pool(make_spec(3, QUICK))
+    for one in (serial, pool):
+        one.reset(3, "test")
+        actions = np.zeros((3, 51), np.float32)
+        one.step(actions)
+        actions[1] = np.nan
+        assert one.step(actions).broken.tolist() == [False, True, False]
+        one.remove_table()
+        one.step(np.zeros((3, 51), np.float32))
+    (event,) = pool.drain_events()
+    assert [event] == serial.drain_events() and "env 1" in event and "step 2" in event
+    assert pool.drain_events() == []
+    timing = pool.timing()
+    assert 0.0 < timing["physics_s"] < timing["wall_s"] * timing["workers"] and 0.0 < timing["physics_share"] < 1.0
+    # Another reset counts anew, and twice nothing.
+    before = timing["physics_s"]
+    pool.reset(3, "test")
+    assert pool.timing()["physics_s"] < before
+    pool.close()
+    serial.close()
+
+
+def test_a_killed_worker_is_started_again_and_its_experience_dropped(cluster: str) -> None:
     pool = make_pool(make_spec(3, QUICK))
     reference = _collected(pool, 4)
-    victim = ray.get(pool._actors[1].process_id.remote())  # type: ignore[attr-defined]
+    victim = ray.get(pool._members[1].process_id.remote())  # type: ignore[attr-defined]
     os.kill(victim, signal.SIGKILL)
     got = _collected(pool, 4)
     assert got["valid"].tolist() == [True, False, True]
     assert np.array_equal(got["reward"][:, [0, 2]], reference["reward"][:, [0, 2]])
-    assert any("actor 1 died" in event for event in pool.drain_events())
+    assert any("worker 1 died" in event for event in pool.drain_events())
     again = _collected(pool, 4)
     assert again["valid"].all() and np.array_equal(again["reward"], reference["reward"])
     assert pool.timing()["lost_workers"] == 1.0
     pool.close()
 
 
-def test_a_run_with_a_killed_actor_makes_all_its_updates(cluster: str, tmp_path: Path) -> None:
+def test_a_run_with_a_killed_worker_makes_all_its_updates(cluster: str, tmp_path: Path) -> None:
     config = load_config(None, [*QUICK, "ppo.epochs=4", "ppo.minibatches=1", "ppo.hidden=[8]"])
     pool = make_pool(make_spec(3, QUICK))
     collect = pool.collect
 
     def strike(actor: Actor, epoch: int, *rest: Any) -> Any:
         if epoch == 2:
-            os.kill(ray.get(pool._actors[0].process_id.remote()), signal.SIGKILL)  # type: ignore[attr-defined]
+            os.kill(ray.get(pool._members[0].process_id.remote()), signal.SIGKILL)  # type: ignore[attr-defined]
         return collect(actor, epoch, *rest)
 
     pool.collect = strike  # type: ignore[method-assign]
@@ -113,14 +137,14 @@ def test_a_run_with_a_killed_actor_makes_all_its_updates(cluster: str, tmp_path:
     pool.close()
 
 
-def test_a_late_actor_is_left_behind_and_comes_back(cluster: str) -> None:
+def test_a_late_worker_is_left_behind_and_comes_back(cluster: str) -> None:
     pool = make_pool(make_spec(3, [*QUICK[:-1], "pool.patience=2.0"]))
     reference = _collected(pool, 4)
-    sleeper = ray.get(pool._actors[0].process_id.remote())  # type: ignore[attr-defined]
+    sleeper = ray.get(pool._members[0].process_id.remote())  # type: ignore[attr-defined]
     os.kill(sleeper, signal.SIGSTOP)
     got = _collected(pool, 4)
     assert got["valid"].tolist() == [False, True, False]
-    assert any("actor 0 is late" in event for event in pool.drain_events())
+    assert any("worker 0 is late" in event for event in pool.drain_events())
     os.kill(sleeper, signal.SIGCONT)
     ray.wait([pool._late[0][0]], timeout=60)  # type: ignore[attr-defined]
     again = _collected(pool, 4)
@@ -128,22 +152,22 @@ def test_a_late_actor_is_left_behind_and_comes_back(cluster: str) -> None:
     pool.close()
 
 
-def test_more_actors_than_the_cluster_has_cores_are_refused(cluster: str) -> None:
-    with pytest.raises(ConfigError, match=r"pool\.workers: 3 actors take a CPU each, and the Ray cluster has 2"):
+def test_more_workers_than_the_cluster_has_cores_are_refused(cluster: str) -> None:
+    with pytest.raises(ConfigError, match=r"pool\.workers: 3 workers take a CPU each, and the Ray cluster has 2"):
         make_pool(make_spec(3, [*QUICK, "pool.workers=3"]))
-    # One actor per label at most: two of these do not exist.
+    # One worker per label at most: two of these do not exist.
     make_pool(make_spec(1, [*QUICK, "pool.workers=3"])).close()
 
 
 def test_a_pool_that_cannot_start_leaves_nothing_behind(cluster: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Not its actors, and not the cluster that it started for itself."""
-    actors: list[Any] = []
+    """Not its workers, and not the cluster that it started for itself."""
+    members: list[Any] = []
     shut: list[str] = []
     ready = RayPool._await_ready
 
     def interrupt(pool: RayPool) -> None:
         ready(pool)
-        actors.extend(pool._actors)
+        members.extend(pool._members)
         raise KeyboardInterrupt
 
     monkeypatch.setattr(RayPool, "_await_ready", interrupt)
@@ -152,12 +176,12 @@ def test_a_pool_that_cannot_start_leaves_nothing_behind(cluster: str, monkeypatc
     with monkeypatch.context() as alone, pytest.raises(KeyboardInterrupt):
         alone.setattr(ray, "is_initialized", iter([False, *[True] * 1000]).__next__)
         make_pool(make_spec(2, QUICK))
-    assert shut == ["shutdown"] and len(actors) == 2
-    for actor in actors:
+    assert shut == ["shutdown"] and len(members) == 2
+    for member in members:
         with pytest.raises(ray.exceptions.RayActorError):
-            # Ray ends an actor in its own time; until then it answers.
+            # Ray ends a worker in its own time; until then it answers.
             for _ in range(600):
-                ray.get(actor.process_id.remote(), timeout=60)
+                ray.get(member.process_id.remote(), timeout=60)
                 time.sleep(0.1)
 
 

@@ -120,15 +120,44 @@ def _log(run_dir: Path, resumed: int = 0, terms: tuple[str, ...] = ("a",)) -> Lo
     return Log(run_dir, toy_config(), {}, terms, lambda epoch: 80 * epoch, 3, resumed, _console()[0])
 
 
-def test_resumed_csv_keeps_its_header_and_its_clock(tmp_path: Path) -> None:
+def test_resumed_csv_keeps_its_columns_and_its_clock(tmp_path: Path) -> None:
     header = "epoch,control_steps,seconds,return,a\n"
     (tmp_path / "progress.csv").write_text(header + "1,80,100.0,-1,2\n2,160,200.0,-1,2\nx,,,,\n3,240,300.0,-1,2\n4,3")
     with _log(tmp_path, resumed=2, terms=("b",)) as log:
         log.epoch(3, {"train/return": -0.5, "reward/b": 7.0})
     lines = (tmp_path / "progress.csv").read_text().splitlines()
-    assert lines[:3] == [header.strip(), "1,80,100.0,-1,2", "2,160,200.0,-1,2"] and len(lines) == 4
-    epoch, steps, seconds, value, term = lines[3].split(",")
-    assert (epoch, steps, value, term) == ("3", "240", "-0.5", "") and 200.0 <= float(seconds) < 260.0
+    assert lines[0].startswith(header.strip() + ",core_hours,") and len(lines) == 4
+    # The rows before have nothing in the columns that are new.
+    assert [line.rstrip(",") for line in lines[1:3]] == ["1,80,100.0,-1,2", "2,160,200.0,-1,2"]
+    assert {line.count(",") for line in lines} == {lines[0].count(",")}
+    row = dict(zip(lines[0].split(","), lines[3].split(","), strict=True))
+    assert [row[name] for name in ("epoch", "control_steps", "return", "a", "b")] == ["3", "240", "-0.5", "", "7"]
+    assert 200.0 <= float(row["seconds"]) < 260.0
+
+
+def test_a_run_that_is_resumed_with_a_further_reward_term_logs_it(tmp_path: Path) -> None:
+    class Further(ToyEnv):
+        """With a third term, which is always 0.5."""
+
+        reward_terms = (*ToyEnv.reward_terms, "patience")  # type: ignore[assignment]
+
+        def __init__(self) -> None:
+            super().__init__()
+            self.terms = np.full((self.num_envs, 3), 0.5, np.float32)
+
+    Runner(ToyEnv(), toy_config(epochs=2), tmp_path, {}).learn()
+    header = (tmp_path / "progress.csv").read_text().splitlines()[0]
+    Runner(Further(), toy_config(epochs=4), tmp_path, {}, resume=True).learn()
+    with open(tmp_path / "progress.csv", encoding="utf-8") as stream:
+        rows = list(csv.DictReader(stream))
+    assert list(rows[0]) == [*header.split(","), "patience"]
+    # 0.5 in each of an epoch's 10 steps.
+    assert [row["patience"] for row in rows] == ["", "", "5", "5"] and all(row["contact_reward"] for row in rows)
+    # A further resume keeps what is there.
+    Runner(ToyEnv(), toy_config(epochs=5), tmp_path, {}, resume=True).learn()
+    with open(tmp_path / "progress.csv", encoding="utf-8") as stream:
+        again = list(csv.DictReader(stream))
+    assert again[:4] == rows and again[4]["patience"] == "" and again[4]["effort"]
 
 
 def test_incidents_that_come_again_are_written_once(tmp_path: Path) -> None:

@@ -15,7 +15,7 @@ from dgrasp.rl.collect import Actor, Incident, Trajectories, collect
 from dgrasp.rl.run import checkpoint as checkpoints
 from dgrasp.rl.run.checkpoint import Checkpoint
 from dgrasp.rl.runner import Evaluate, Runner
-from dgrasp.rl.vec_env import Step
+from dgrasp.rl.step import Step
 from dgrasp.types import Array
 
 STEP_SIZE = 0.2
@@ -77,7 +77,7 @@ class ToyEnv:
         self._observe(self.observation)
         if self.on_step is not None:
             self.on_step(self, self.epoch, self.step_count)
-        return Step(self.observation, self.reward, self.terminated, self.truncated, self.final, self.terms, self.broken)
+        return Step(self.observation, self.final, self.reward, self.terms, self.terminated, self.truncated, self.broken)
 
     def collect(self, actor: Actor, epoch: int, steps: int, advance: Callable[[int], None]) -> Trajectories:
         finals = steps // self.episode_steps + 1

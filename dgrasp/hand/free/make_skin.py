@@ -17,6 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
+from dgrasp.files import licences
 from dgrasp.files.atomic import write_atomic
 from dgrasp.hand.free.anatomy import RADII, anatomical_axes, finger_direction, hand_parts
 from dgrasp.hand.free.rings import RingMesh, digit, ring_mesh
@@ -224,7 +225,8 @@ def _poses() -> tuple[Array, Array]:
 def write_skin(path: Path) -> None:
     """Write the file, always the same arrays."""
     meta = {"format": FORMAT, "schema": SCHEMA, "units": {"length": "m", "angle": "rad"}, "side": "right",
-            "licence": "MIT", "made_by": "dgrasp.hand.free.make_skin", "shapes": [name for name, _ in SHAPES]}
+            "licence": licences.PROJECT, "made_by": "dgrasp.hand.free.make_skin",
+            "shapes": [name for name, _ in SHAPES]}
     stream = io.BytesIO()
     np.savez_compressed(stream, meta=np.array(json.dumps(meta)), **skin_arrays())  # type: ignore[arg-type]
     write_atomic(path, stream.getvalue())

@@ -25,7 +25,6 @@ HAND_NAME = "free"
 
 SKIN_FILE = "free_skin.npz"
 FORMAT, SCHEMA = "dgrasp-hand-model", 1
-LICENCE = "MIT, as the project"
 MAX_BYTES = 16 * 2**20
 
 MEMBERS = ("v_template", "f", "shapedirs", "posedirs", "J_regressor", "weights", "kintree_table", "hands_mean",

@@ -22,7 +22,6 @@ from dgrasp.labels.recorded.surfaces import Surfaces
 from dgrasp.labels.source import sha256_of
 from dgrasp.types import GraspLabel
 
-MANO_TERMS = "derived from MANO: non-commercial research only, no redistribution"
 _EXAMPLES, MAX_REASONS = 3, 5000
 _T = TypeVar("_T")
 

@@ -43,7 +43,7 @@ Answers = dict[str, str]
 
 
 @dataclass(frozen=True, eq=False)
-class Grasps:
+class TableGrasps:
     """Grasps of a table in its own frame A: T_AH (n, 4, 4), hand_pose (n, 45), T_AO (n, 4, 4), betas (n, S).
 
     answers: per question the answer and whether it was given, implied or found.
@@ -56,7 +56,7 @@ class Grasps:
     answers: Answers
 
 
-def read_grasps(table: ManoTable, model: ManoModel, given: Answers, mean_shape: bool, at_origin: bool) -> Grasps:
+def read_grasps(table: ManoTable, model: ManoModel, given: Answers, mean_shape: bool, at_origin: bool) -> TableGrasps:
     """The table's grasps, with the answers `given` and those that the data implies or shows.
 
     mean_shape: the hands have MANO's mean shape and the table no betas. at_origin: the objects are at the origin and
@@ -80,7 +80,7 @@ def read_grasps(table: ManoTable, model: ManoModel, given: Answers, mean_shape: 
              for key, value in chosen.items()}
     if "quaternion" in given and table.values.get("object_rotation", np.zeros((0, 3))).shape[1] == 4:
         notes["quaternion"] = f"{given['quaternion']} (given)"
-    return Grasps(T_AH, hand_pose, T_AO, betas, notes)
+    return TableGrasps(T_AH, hand_pose, T_AO, betas, notes)
 
 
 def _implied(table: ManoTable) -> Answers:

@@ -24,7 +24,7 @@ from dgrasp.geometry.intersection import body
 from dgrasp.geometry.part_mesh import PartMesh
 from dgrasp.geometry.shape_mesh import shape_mesh
 from dgrasp.objects.add.parts import convex_parts, obj_text
-from dgrasp.objects.add.repair import Solid
+from dgrasp.objects.add.repair import RepairedSolid
 from dgrasp.types import Array
 from raisim_like.rotations import quaternion_from_matrix
 from raisim_like.shapes import Shape
@@ -45,7 +45,7 @@ _EXACT = 0.998
 
 
 @dataclass(frozen=True)
-class Fit:
+class FittedShapes:
     """The shapes that stand for a solid, in its frame. kind: of the choice. overlap: of their union with the solid.
 
     tried: the overlap of everything that was tried, by kind.
@@ -57,7 +57,7 @@ class Fit:
     tried: dict[str, float]
 
 
-def fit_shapes(solid: Solid, folder: Path, choice: Choice = "auto", threshold: float = OVERLAP) -> Fit:
+def fit_shapes(solid: RepairedSolid, folder: Path, choice: Choice = "auto", threshold: float = OVERLAP) -> FittedShapes:
     """The shapes for a solid; what needs a file is written to `folder`, or lies in the user's cache.
 
     choice: "auto" takes the primitive of most overlap if that reaches `threshold`, else convex parts if they reach
@@ -71,7 +71,7 @@ def fit_shapes(solid: Solid, folder: Path, choice: Choice = "auto", threshold: f
     if fits:
         best = max(fits, key=lambda kind: tried[kind])
         if choice != "auto" or tried[best] >= threshold:
-            return Fit(best, (fits[best][0],), tried[best], tried)
+            return FittedShapes(best, (fits[best][0],), tried[best], tried)
     elif kinds and choice != "auto":
         raise DataError(f"no {choice} can be fitted, the solid is too thin; choose another --shape")
     file = folder / COLLISION_FILE
@@ -80,23 +80,23 @@ def fit_shapes(solid: Solid, folder: Path, choice: Choice = "auto", threshold: f
         shapes = convex_parts(file)
         tried["parts"] = union_overlap(solid, shapes)
         if choice == "parts" or tried["parts"] >= PARTS_OVERLAP:
-            return Fit("parts", shapes, tried["parts"], tried)
+            return FittedShapes("parts", shapes, tried["parts"], tried)
     shapes = (Shape("mesh", file=file),)
     tried["mesh"] = union_overlap(solid, shapes)
-    return Fit("mesh", shapes, tried["mesh"], tried)
+    return FittedShapes("mesh", shapes, tried["mesh"], tried)
 
 
-def simplified(solid: Solid, faces: int) -> Solid:
+def simplified(solid: RepairedSolid, faces: int) -> RepairedSolid:
     """The solid with about `faces` triangles where its surface moves by less than a hundredth of its size for that."""
     size = float(np.ptp(solid.mesh[0], axis=0).max())
     made, tolerance = solid.solid, 1e-5 * size
     while made.num_tri() > faces and tolerance <= 0.01 * size:
         made = solid.solid.simplify(tolerance)
         tolerance *= 2.0
-    return Solid(made, solid.notes)
+    return RepairedSolid(made, solid.notes)
 
 
-def _decimated(solid: Solid) -> Solid:
+def _decimated(solid: RepairedSolid) -> RepairedSolid:
     """The solid by quadric decimation, with `COLLISION_FACES` triangles or the next double of them that is a solid."""
     import fast_simplification
 
@@ -107,12 +107,12 @@ def _decimated(solid: Solid) -> Solid:
         with contextlib.suppress(DataError):
             made = body([(fewer[0], fewer[1])])
             if made.solid is not None and made.holes == 0:
-                return Solid(made.solid, solid.notes)
+                return RepairedSolid(made.solid, solid.notes)
         count *= 2
     return solid
 
 
-def union_overlap(solid: Solid, shapes: Sequence[Shape]) -> float:
+def union_overlap(solid: RepairedSolid, shapes: Sequence[Shape]) -> float:
     """Intersection over union of a solid and the union of shapes, 0 to 1; 0 where a shape is no solid."""
     other = body([shape_mesh(shape) for shape in shapes]).solid
     return 0.0 if other is None else _overlap(solid.solid, other)
@@ -124,7 +124,7 @@ def _overlap(a: Any, b: Any) -> float:
     return min(1.0, common / (float(a.volume()) + float(b.volume()) - common))
 
 
-def fit_primitive(solid: Solid, kind: str) -> tuple[Shape, float] | None:
+def fit_primitive(solid: RepairedSolid, kind: str) -> tuple[Shape, float] | None:
     """The primitive of most overlap and that overlap: the bounding one, or one fitted to points inside; or None."""
     import trimesh
 

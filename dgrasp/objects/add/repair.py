@@ -32,7 +32,7 @@ _MAX_PIECES = 500
 
 
 @dataclass(frozen=True, eq=False)
-class Solid:
+class RepairedSolid:
     """A solid in m. solid: the manifold for booleans. notes: what was mended, a few words each."""
 
     solid: Any
@@ -45,7 +45,7 @@ class Solid:
         return np.array(triangles.vert_properties[:, :3], order="C"), np.array(triangles.tri_verts, dtype=np.int64)
 
 
-def repair(vertices: Array, faces: Array) -> Solid:
+def repair(vertices: Array, faces: Array) -> RepairedSolid:
     """The solid that the triangles enclose: vertices (V, 3) m, faces (F, 3) in any winding.
 
     Pieces that overlap are united, and a closed piece inside of another and wound against it is a cavity. Raises
@@ -72,7 +72,7 @@ def repair(vertices: Array, faces: Array) -> Solid:
         if remade is None:
             raise DataError(f"{reason}, and no grid finds an inside: a surface without thickness, or one open too "
                             "wide; give it a thickness, or close it first")
-        return Solid(remade.solid, (*notes, f"built anew on a grid of {1000 * remade.pitch:.1f} mm ({reason})"))
+        return RepairedSolid(remade.solid, (*notes, f"built anew on a grid of {1000 * remade.pitch:.1f} mm ({reason})"))
     if closed.holes:
         what = "hole" if closed.holes == 1 else "holes"
         notes.append(f"{closed.holes} {what} closed ({closed.capped / total:.1%} of the surface)")
@@ -81,7 +81,7 @@ def repair(vertices: Array, faces: Array) -> Solid:
     solid, done = _united(closed.bodies)
     if solid.is_empty() or solid.volume() <= 0.0:
         raise DataError("the pieces enclose no volume; expected a solid")
-    return Solid(solid, (*notes, *done))
+    return RepairedSolid(solid, (*notes, *done))
 
 
 def _area(vertices: Array, faces: Array) -> float:

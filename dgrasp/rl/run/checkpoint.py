@@ -6,7 +6,6 @@ import contextlib
 import copy
 import hashlib
 import io
-import os
 import re
 import zipfile
 from dataclasses import dataclass, fields
@@ -17,6 +16,7 @@ import torch
 from torch import Tensor
 
 from dgrasp.errors import DataError
+from dgrasp.files.atomic import TEMPORARY, write_atomic
 from dgrasp.rl.networks import ActorCritic, Policy, make_mlp, parameter_shapes
 
 SCHEMA = 2
@@ -51,38 +51,6 @@ class Checkpoint:
     best_success: float | None
 
 
-def atomic_write_bytes(path: Path, content: bytes) -> None:
-    """Write a file so that at any time either the old or the new one is there, whole.
-
-    Raises `DataError` if that fails, on a full disk for example; the old file and no temporary one remain.
-    """
-    temporary = path.with_name(f".{path.name}.tmp")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        try:
-            with open(temporary, "wb") as stream:
-                stream.write(content)
-                stream.flush()
-                os.fsync(stream.fileno())
-            os.replace(temporary, path)
-        except BaseException:
-            with contextlib.suppress(OSError):
-                temporary.unlink()
-            raise
-    except OSError as error:
-        raise DataError(
-            f"cannot write {path}: {error.strerror or error}; the files that were there before are unharmed. "
-            "Free some space or choose another folder"
-        ) from None
-    # The new name itself must survive a power cut; not every file system can be asked for it.
-    with contextlib.suppress(OSError):
-        folder = os.open(path.parent, os.O_RDONLY)
-        try:
-            os.fsync(folder)
-        finally:
-            os.close(folder)
-
-
 def to_cpu(value: Any) -> Any:
     """A deep copy of nested dictionaries and lists with all tensors on the CPU."""
     if isinstance(value, Tensor):
@@ -108,7 +76,7 @@ def _write(path: Path, checkpoint: Checkpoint) -> Path:
     content = {field.name: getattr(checkpoint, field.name) for field in fields(Checkpoint)}
     stream = io.BytesIO()
     torch.save({"schema": SCHEMA, **content}, stream)
-    atomic_write_bytes(path, _sealed(stream.getvalue()))
+    write_atomic(path, _sealed(stream.getvalue()))
     return path
 
 
@@ -148,7 +116,7 @@ def latest(run_dir: Path) -> Path:
 
 def prune(run_dir: Path, keep: int) -> None:
     """Remove all but the newest `keep` checkpoints, and what a killed run left half-written."""
-    for path in [*saved(run_dir)[:-keep], *(run_dir / FOLDER).glob(".*.pt.tmp")]:
+    for path in [*saved(run_dir)[:-keep], *(run_dir / FOLDER).glob(TEMPORARY)]:
         with contextlib.suppress(OSError):
             path.unlink()
 

@@ -21,7 +21,6 @@ from dgrasp.errors import DataError
 from dgrasp.files.atomic import write_atomic
 from dgrasp.rl.collect import Incident
 from dgrasp.rl.ppo import STATISTICS
-from dgrasp.rl.run.checkpoint import atomic_write_bytes
 from dgrasp.rl.run.events import EventFile
 from dgrasp.rl.run.progress import TrainingProgress
 
@@ -44,9 +43,10 @@ class Log:
     """The log of one run; a context manager that flushes and closes it.
 
     Values are logged under TensorBoard tags such as `ppo/kl`. `progress.csv` has one row per epoch, with the
-    tags' last parts as columns; its header is that of the first run into the directory. Resuming drops what
-    was logged after the resumed epoch (0: starts anew) and describes the run anew. steps_after: the control steps of
-    the whole run when an epoch, from the resumed one on, is complete. Raises `DataError` if the disk does not take it.
+    tags' last parts as columns. Resuming drops what was logged after the resumed epoch (0: starts anew), keeps the
+    columns that are there, adds those that are new, empty in the rows before, and describes the run anew. steps_after:
+    the control steps of the whole run when an epoch, from the resumed one on, is complete. Raises `DataError` if the
+    disk does not take it.
     """
 
     def __init__(
@@ -71,10 +71,10 @@ class Log:
             # What the run was begun or resumed with is what it is from now on.
             write_description(run_dir, config, data_stamp)
             self._forget_incidents(resumed_epoch)
-            self._columns = list(rows[0]) if rows else columns
+            self._columns = list(dict.fromkeys([*(rows[0] if rows else ()), *columns]))
             self._seconds_before = float(rows[-1]["seconds"]) if rows else 0.0
             self._core_hours_before = float(rows[-1].get("core_hours") or 0.0) if rows else 0.0
-            atomic_write_bytes(self._csv, _csv_text(self._columns, rows, header=True).encode())
+            write_atomic(self._csv, _csv_text(self._columns, rows, header=True))
             self._events = EventFile(run_dir, purge_step=resumed_epoch + 1 if resumed_epoch else 0)
             self._events.layout(_layout(reward_terms, self._evaluated))
             self._events.text("config", dump_config(config), resumed_epoch)
@@ -152,7 +152,7 @@ class Log:
                         buffer, seed=self._seed, epoch=incident.epoch, env=incident.env, actions=incident.actions
                     )
                     name = f"epoch{incident.epoch:06d}_env{incident.env:04d}_step{len(incident.actions):03d}.npz"
-                    atomic_write_bytes(folder / name, buffer.getvalue())
+                    write_atomic(folder / name, buffer.getvalue())
             with open(table, "a", encoding="utf-8") as stream:
                 stream.write(rows)
 

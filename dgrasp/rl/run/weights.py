@@ -15,8 +15,9 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
 
 from dgrasp.errors import DataError
+from dgrasp.files.atomic import write_atomic
 from dgrasp.rl.networks import Policy, make_mlp
-from dgrasp.rl.run.checkpoint import Checkpoint, atomic_write_bytes
+from dgrasp.rl.run.checkpoint import Checkpoint
 
 SUFFIX = ".safetensors"
 FORMAT, SCHEMA = "dgrasp-policy", "1"
@@ -37,7 +38,7 @@ def write_weights(path: Path, checkpoint: Checkpoint) -> int:
         "epoch": checkpoint.epoch,
     }
     content = save(actor, {"format": FORMAT, "schema": SCHEMA, "about": json.dumps(about, sort_keys=True)})
-    atomic_write_bytes(path, content)
+    write_atomic(path, content)
     return len(content)
 
 

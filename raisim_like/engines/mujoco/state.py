@@ -64,7 +64,7 @@ def begin_pending(built: BuiltModel, pending: Pending, share: float) -> None:
 
 
 @dataclass
-class Snapshot:
+class MujocoSnapshot:
     """The data of a compiled model, what drives its systems, and what was to act on them."""
 
     built: BuiltModel
@@ -73,6 +73,6 @@ class Snapshot:
     pending: Pending
 
     @classmethod
-    def of(cls, built: BuiltModel, drives: dict[int, Drive], pending: Pending) -> Snapshot:
+    def of(cls, built: BuiltModel, drives: dict[int, Drive], pending: Pending) -> MujocoSnapshot:
         """A snapshot that shares nothing with the world but the model."""
         return cls(built, copy.copy(built.data), copy.deepcopy(drives), pending.copy())

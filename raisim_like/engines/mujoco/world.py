@@ -231,11 +231,11 @@ class MujocoWorld:
         mj.mj_step(built.model, built.data, nstep=steps)
         return time.perf_counter() - start
 
-    def save(self) -> mujoco_state.Snapshot:
+    def save(self) -> mujoco_state.MujocoSnapshot:
         drives = {body: system.drive for body, system in self.systems.items()}
-        return mujoco_state.Snapshot.of(self._ready(), drives, self._pending)
+        return mujoco_state.MujocoSnapshot.of(self._ready(), drives, self._pending)
 
-    def restore(self, snapshot: mujoco_state.Snapshot) -> None:
+    def restore(self, snapshot: mujoco_state.MujocoSnapshot) -> None:
         built = self._ready()
         if built is not snapshot.built:
             raise EngineError("bodies have come or gone, or materials have changed, since the snapshot was taken")
