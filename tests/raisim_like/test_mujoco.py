@@ -13,7 +13,7 @@ import pytest
 from dgrasp.hand.free.hand import URDF_PATH
 from raisim_like import ArticulatedSystem, EngineError, Shape, World, read_urdf
 from raisim_like.engines import make_engine
-from raisim_like.engines.bullet.urdf import LIGHT_INERTIA
+from raisim_like.engines.floors import LIGHT_INERTIA
 from raisim_like.world import BODY, STATIC, SYSTEM, collision_mask
 from tests.raisim_like.urdfs import mass_matrix, write_chain
 

@@ -11,7 +11,7 @@ import mujoco as mj
 import numpy as np
 
 from raisim_like.engines.body_frame import BodyFrame
-from raisim_like.engines.bullet.urdf import LIGHT_INERTIA, MIN_MASS
+from raisim_like.engines.floors import LIGHT_INERTIA, MIN_MASS
 from raisim_like.engines.mujoco.collision import chains, collision_bits
 from raisim_like.engines.protocol import Array, Preset
 from raisim_like.errors import EngineError
