@@ -22,7 +22,7 @@ from dgrasp.rl.run import checkpoint
 from dgrasp.rl.run.policies import SavedPolicy, read_policy
 from dgrasp.rl.run.weights import SUFFIX
 from dgrasp.tables.plan import NAMES
-from raisim_like.engines import ENGINES
+from raisim_like.registry import BATCHES
 
 PRETRAINED = "pretrained"
 PRETRAINED_FILE = Path("free/policy/all_objects.safetensors")
@@ -55,7 +55,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--split", choices=("train", "test"), help="which labels (default: train)")
     parser.add_argument("--labels", metavar="SOURCE|FILE", help="dexycb, grasptta, contactopt, or a label file")
     parser.add_argument("--objects", nargs="+", metavar="NAME", help="only these objects, such as 004_sugar_box")
-    parser.add_argument("--engine", choices=ENGINES, help="physics engine")
+    parser.add_argument("--engine", choices=list(BATCHES), help="physics engine")
     parser.add_argument("--window", type=float, metavar="SECONDS",
                         help="stability window (default: 5; the authors: 3.87)")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write JSON, and CSV, markdown, LaTeX beside it")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, Protocol
 
 import numpy as np
@@ -123,6 +124,10 @@ class RigidBody:
     def _inertia_W(self) -> Array:
         R = self.rotation
         return R @ self._inertia @ R.T
+
+    def set_color(self, rgba: Sequence[float]) -> None:
+        """Colour in pictures; red, green, blue and opacity from 0 to 1."""
+        self._world.engine_world.set_color(self.id, rgba)
 
     def contacts(self) -> list[Contact]:
         """Contact points of the last step."""

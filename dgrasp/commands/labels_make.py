@@ -147,11 +147,11 @@ def _kept(path: Path, made: tuple[list[GraspLabel], dict[str, Any]] | None) -> t
 
 
 def _require_engine(name: str) -> None:
-    from raisim_like.engines import make_engine
     from raisim_like.errors import EngineError
+    from raisim_like.registry import find_engine
 
     try:
-        make_engine(name)
+        find_engine(name)
     except EngineError as error:
         raise ConfigError(f"--engine: {error}") from None
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -20,7 +20,7 @@ from dgrasp.hand.mano.skeleton import ACTION_SIZES, N_DOF
 from dgrasp.hand.model import HandModel
 from dgrasp.objects.model import ObjectModel
 from dgrasp.scene.relations import Relations, relations
-from dgrasp.scene.scene import LOWERED_TOP, TABLE_TOP, Scene
+from dgrasp.scene.scene import LOWERED_TOP, TABLE_TOP
 from dgrasp.scene.state import StepArrays, state_views, take
 from dgrasp.scene.worlds import Worlds
 from dgrasp.types import Array, GraspGoal, GraspLabel, SceneState, StartPose
@@ -54,7 +54,6 @@ class GraspEnv:
     config: Config
     indices: Sequence[int] = ()
     total: int = 0
-    make_scene: Callable[..., Scene] = Scene
     events: list[str] = field(default_factory=list)
 
     def __post_init__(self) -> None:
@@ -71,7 +70,7 @@ class GraspEnv:
         self.o = StepArrays.allocate(n, self.layer.size, len(self.reward.names))
         self.goal = make_goal(self.labels)
         self.starts = [start_pose(label, self.hand) for label in self.labels]
-        self.worlds = Worlds(self.labels, self.hand, self.objects, self.config, self.make_scene, self.s)
+        self.worlds = Worlds(self.labels, self.hand, self.objects, self.config, self.s)
         self._target = np.zeros((n, N_DOF))
         self._limits = self.hand.limits.T.copy()
         self._rng: dict[int, np.random.Generator] = {}
@@ -99,11 +98,6 @@ class GraspEnv:
     def close(self) -> None:
         """Free all worlds."""
         self.worlds.close()
-
-    @property
-    def scenes(self) -> list[Scene]:
-        """One per environment."""
-        return self.worlds.scenes
 
     @property
     def step_seconds(self) -> float:

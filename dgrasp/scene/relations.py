@@ -27,7 +27,7 @@ def relations(state: SceneState, goal: GraspGoal) -> Relations:
     n = len(state.gc)
     target_W = state.object_pos_W[:, None] + np.matmul(goal.joints_O, np.swapaxes(state.R_WO, 1, 2))
     error_H = np.matmul(target_W - state.joints_W, state.R_WH)
-    pose = np.empty((n, 48))
+    pose = np.empty((n, state.gc.shape[1] - 3))
     R_OH = np.matmul(np.swapaxes(state.R_WO, 1, 2), state.R_WH)
     pose[:, :3] = goal.wrist_euler_O - euler_from_matrix(R_OH)
     pose[:, 3:] = goal.hand_pose - state.gc[:, 6:]

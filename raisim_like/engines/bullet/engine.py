@@ -5,10 +5,11 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 
+from raisim_like.batch import Preset
 from raisim_like.engines.bullet.pd import HOLD, ControlBatch, ImplicitPd, blocks
 from raisim_like.engines.bullet.quiet_pybullet import pybullet as p
 from raisim_like.engines.bullet.world import BulletWorld
-from raisim_like.engines.protocol import EngineWorld, Preset, engine_steps
+from raisim_like.engines.protocol import EngineWorld, engine_steps
 
 CONTROL_STEP = 13
 """Substeps at most for which the controller keeps its mass matrices; it turns unstable when they are far from true."""

@@ -25,9 +25,10 @@ from functools import cache
 
 import numpy as np
 
+from raisim_like.batch import Preset
 from raisim_like.engines.bullet.mass import axes_of, inverse
 from raisim_like.engines.bullet.quiet_pybullet import pybullet as p
-from raisim_like.engines.protocol import Array, Preset
+from raisim_like.engines.protocol import Array
 from raisim_like.urdf import UrdfModel
 
 OBSERVER_GAIN = 0.15

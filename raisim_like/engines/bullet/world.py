@@ -8,6 +8,7 @@ from weakref import WeakSet
 
 import numpy as np
 
+from raisim_like.batch import Preset
 from raisim_like.contact import Contact
 from raisim_like.engines.body_frame import BodyFrame
 from raisim_like.engines.bullet.bodies import make_articulated, make_body
@@ -18,7 +19,7 @@ from raisim_like.engines.bullet.quiet_pybullet import pybullet as p
 from raisim_like.engines.bullet.shapes import xyzw
 from raisim_like.engines.bullet.state import BulletSnapshot
 from raisim_like.engines.pending import Pending
-from raisim_like.engines.protocol import Array, Preset, engine_steps
+from raisim_like.engines.protocol import Array, engine_steps
 from raisim_like.errors import EngineError
 from raisim_like.material import MaterialTable
 from raisim_like.rotations import matrix_from_quaternion

@@ -10,6 +10,7 @@ from collections.abc import Sequence
 import mujoco as mj
 import numpy as np
 
+from raisim_like.batch import Preset
 from raisim_like.contact import Contact
 from raisim_like.engines.body_frame import BodyFrame
 from raisim_like.engines.mujoco import state as mujoco_state
@@ -17,7 +18,7 @@ from raisim_like.engines.mujoco.contacts import contacts_of, keep_sliding_contac
 from raisim_like.engines.mujoco.model import BuiltModel, Drive, Item, Solid, System
 from raisim_like.engines.pending import Pending
 from raisim_like.engines.picture import Picture
-from raisim_like.engines.protocol import Array, EngineWorld, Preset, engine_steps
+from raisim_like.engines.protocol import Array, EngineWorld, engine_steps
 from raisim_like.errors import EngineError
 from raisim_like.material import MaterialTable
 from raisim_like.shapes import Shape
