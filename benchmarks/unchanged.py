@@ -29,7 +29,8 @@ FREE = ["labels.limit_per_object=1", "labels.objects=[004_sugar_box,025_mug,037_
 REAL = ["labels.limit_per_object=1",
         "labels.objects=[003_cracker_box,004_sugar_box,006_mustard_bottle,024_bowl,037_scissors,040_large_marker]"]
 TRAINING = ["ppo.epochs=3", "seed=5", "pool.workers=2", "eval.every=1000", "eval.gif=false", "checkpoint.every=1"]
-NOT_COMPARED = ("commit", "code", "wall_s", "physics_share", "seconds_per_episode", "version", "versions")
+NOT_COMPARED = ("commit", "code", "version", "versions", "wall_s", "physics_share", "seconds_per_episode",
+                "preparation_s")
 """Keys of the results that may differ between two runs of the same code, or name the code itself."""
 
 Case = Callable[[Path], str]
