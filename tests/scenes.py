@@ -114,8 +114,8 @@ class OneScene:
         """Coordinates, velocities (51,), impulses on the parts (16,) and the object's state (13,)."""
         impulse = np.full((1, self.hand_model.urdf.dof), np.nan)
         self.batch.link_impulses([0], OBJECT, impulse)
-        state = self.state
-        return state.gc[0].copy(), state.gv[0].copy(), impulse[0, self.hand_model.part_links], state.bodies[0, OBJECT]
+        gc, gv, body = (array.copy() for array in (self.state.gc[0], self.state.gv[0], self.state.bodies[0, OBJECT]))
+        return gc, gv, impulse[0, self.hand_model.part_links], body
 
     def touches_table(self) -> bool:
         """Whether the object pressed on the table in the last substep."""
