@@ -16,7 +16,7 @@ from dgrasp.data import resolve
 from dgrasp.eval.evaluator import evaluate
 from dgrasp.methods import PdBaseline
 from dgrasp.pool import make_pool
-from dgrasp.scene import worlds
+from raisim_like import loop
 from raisim_like.world import World, integrate
 
 
@@ -39,8 +39,8 @@ def main() -> None:
     choice = resolve(config)
     print(choice.describe())
     clock = Clock()
-    # The environment's worlds call it by their own name for it.
-    worlds.integrate = clock  # type: ignore[assignment]
+    # The batch of worlds calls it by its own name for it.
+    loop.integrate = clock  # type: ignore[assignment]
     pool = make_pool(build_spec(choice, config))
     try:
         _, cost = evaluate(pool, PdBaseline(), config)

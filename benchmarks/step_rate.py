@@ -25,6 +25,7 @@ from dgrasp.methods.policy import PolicyMethod
 from dgrasp.pool.base import PoolSpec
 from dgrasp.rl.run.published import load_published_actor
 from dgrasp.types import Array
+from raisim_like.loop import LoopBatch
 
 BARE_EVERY = 10
 
@@ -74,11 +75,12 @@ def measure(spec: PoolSpec, method: Method, hold: int, bare: bool) -> Rate:
         if t == grasp:
             env.remove_table()
         if bare and t % BARE_EVERY == BARE_EVERY // 2:
-            for scene in env.scenes:
-                snapshot = scene.world.save()
-                rate.bare_s += scene.world.engine_world.bare_step(substeps)
+            assert isinstance(env.worlds.batch, LoopBatch)
+            for world in env.worlds.batch.worlds:
+                snapshot = world.save()
+                rate.bare_s += world.engine_world.bare_step(substeps)
                 rate.bare_steps += 1
-                scene.world.restore(snapshot)
+                world.restore(snapshot)
         before, start = env.step_seconds, time.perf_counter()
         observation = env.step(method.act(observation)).observation
         rate.seconds += time.perf_counter() - start

@@ -18,8 +18,8 @@ from dgrasp.objects.store import load_object
 from dgrasp.pool import Pool, PoolSpec, make_pool
 from dgrasp.rl.collect import Actor
 from dgrasp.scene.standing import standing
-from raisim_like.engines import make_engine
 from raisim_like.errors import EngineError
+from raisim_like.registry import find_engine
 
 
 def build_objects(choice: DataChoice, config: Config) -> dict[str, ObjectModel]:
@@ -56,7 +56,7 @@ def build_spec(choice: DataChoice, config: Config) -> PoolSpec:
     `ConfigError` for an engine that is not installed, and for a `motion.policy` that cannot make the grasps of a task.
     """
     try:
-        make_engine(config.engine)
+        find_engine(config.engine)
     except EngineError as error:
         raise ConfigError(f"engine: {error}") from None
     hand = build_hand(choice)

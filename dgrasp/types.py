@@ -124,8 +124,8 @@ class SceneState:
 class EpisodeRecord:
     """One evaluated episode: what the metrics and the report read. T control steps.
 
-    label: the grasp label. gc (T, 51), T_WH (T, 4, 4), joints_W (T, 21, 3), T_WO (T, 4, 4),
-    contacts (T, 16), contact_impulse (T, 16) N s per substep, table_contact (T,) bool: states after each
+    label: the grasp label. gc (T, D), T_WH (T, 4, 4), joints_W (T, K, 3), T_WO (T, 4, 4),
+    contacts (T, P), contact_impulse (T, P) N s per substep, table_contact (T,) bool: states after each
     control step. window_start: index of the first step after the grasp, with which the table was taken away or, in
     `table_stays`, the object began to be moved; 0 where an episode begins without a table.
     dt: control period in s. terminated: why the episode ended early ("" if it did not).

@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from raisim_like.contact import Contact
 from raisim_like.kinematics import jacobian, link_velocities
-from raisim_like.rigid_body import vector3
+from raisim_like.rigid_body import Owner, vector3
 from raisim_like.urdf import UrdfModel
-
-if TYPE_CHECKING:
-    from raisim_like.world import World
 
 Array = NDArray[Any]
 
@@ -24,7 +22,7 @@ class ArticulatedSystem:
     Generalised coordinates (dof,): rad or m, in the depth-first joint order of the URDF.
     """
 
-    def __init__(self, world: World, body: int, model: UrdfModel) -> None:
+    def __init__(self, world: Owner, body: int, model: UrdfModel) -> None:
         self._world, self.id, self.model = world, body, model
         self._gc, self._gv = np.zeros(model.dof), np.zeros(model.dof)
         self.name = model.name
@@ -167,6 +165,10 @@ class ArticulatedSystem:
     def potential_energy(self) -> float:
         """J in the world's gravity, zero at the world's origin."""
         return -float(self._world.gravity @ (self._masses @ self._centers(*self._link_poses())))
+
+    def set_color(self, rgba: Sequence[float]) -> None:
+        """Colour in pictures; red, green, blue and opacity from 0 to 1."""
+        self._world.engine_world.set_color(self.id, rgba)
 
     def contacts(self) -> list[Contact]:
         """Contact points of the last step."""

@@ -2,18 +2,27 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from collections.abc import Sequence
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from raisim_like.contact import Contact
+from raisim_like.engines.protocol import EngineWorld
 from raisim_like.rotations import matrix_from_quaternion
 
-if TYPE_CHECKING:
-    from raisim_like.world import World
-
 Array = NDArray[Any]
+
+
+class Owner(Protocol):
+    """What an object needs of the world that it is in."""
+
+    engine_world: EngineWorld
+
+    @property
+    def gravity(self) -> Array:
+        """(3,) m/s^2, world."""
 
 
 def vector3(value: Any, what: str) -> Array:
@@ -27,7 +36,7 @@ def vector3(value: Any, what: str) -> Array:
 class RigidBody:
     """A rigid body: box, cylinder, sphere, capsule, mesh, hull or a compound of them."""
 
-    def __init__(self, world: World, body: int, mass: float, com: Array, inertia: Array) -> None:
+    def __init__(self, world: Owner, body: int, mass: float, com: Array, inertia: Array) -> None:
         self._world, self.id, self.mass = world, body, mass
         self._com, self._inertia = com, inertia
         self._state = np.zeros(13)
@@ -115,6 +124,10 @@ class RigidBody:
     def _inertia_W(self) -> Array:
         R = self.rotation
         return R @ self._inertia @ R.T
+
+    def set_color(self, rgba: Sequence[float]) -> None:
+        """Colour in pictures; red, green, blue and opacity from 0 to 1."""
+        self._world.engine_world.set_color(self.id, rgba)
 
     def contacts(self) -> list[Contact]:
         """Contact points of the last step."""

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raisim_like.articulated_system import ArticulatedSystem
+from raisim_like.batch import Preset, WorldSpec
 from raisim_like.engines import make_engine
-from raisim_like.engines.protocol import Preset
 from raisim_like.errors import EngineError
 from raisim_like.material import MaterialTable
 from raisim_like.rigid_body import RigidBody, vector3
@@ -57,6 +57,20 @@ class World:
         self.objects: list[RigidBody | ArticulatedSystem] = []
         self.set_gravity((0.0, 0.0, -9.81))
         self.world_time = 0.0
+
+    @classmethod
+    def from_spec(cls, spec: WorldSpec, engine: str = "pybullet") -> World:
+        """A world with the systems and then the bodies of a specification as its `objects`."""
+        world = cls(engine, spec.timestep, spec.preset)
+        world.set_gravity(spec.gravity)
+        world.materials = MaterialTable(spec.materials.default_friction, dict(spec.materials.pairs))
+        for system in spec.systems:
+            world.add_articulated_system(
+                system.model, system.material, system.mask, system.self_collision, system.enforce_limits
+            )
+        for body in spec.bodies:
+            world.add_body(body.shapes, body.mass, body.inertia, body.center_of_mass, body.material, body.mask)
+        return world
 
     def close(self) -> None:
         """Free the engine's world; the object is unusable afterwards."""
@@ -180,6 +194,10 @@ class World:
     def integrate(self, substeps: int = 1) -> None:
         """Advance by a number of timesteps."""
         integrate([self], substeps)
+
+    def render(self, eye: Any, target: Any, width: int, height: int) -> Array:
+        """(height, width, 3) uint8: a picture from `eye` (3,) towards `target` (3,), m. No display is needed."""
+        return self.engine_world.render(np.asarray(eye), np.asarray(target), width, height)
 
 
 def integrate(worlds: Sequence[World], substeps: int = 1) -> None:

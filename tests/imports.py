@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import ast
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -34,6 +34,34 @@ def modules(folder: str) -> Iterator[tuple[str, set[str]]]:
         is_package = path.name == "__init__.py"
         parts = relative.parent.parts if is_package else relative.with_suffix("").parts
         yield relative.as_posix(), imported_names(path.read_text(encoding="utf-8"), ".".join(parts), is_package)
+
+
+def imports_within(package: str) -> dict[str, set[str]]:
+    """The modules of a package by dotted name, each with the other modules of the package that it imports.
+
+    A folder's empty `__init__` is left out: what is imported are the modules beside it.
+    """
+    found = {_dotted(path): names for path, names in modules(package) if (ROOT / path).stat().st_size}
+    return {module: {name for name in names if name in found and name != module} for module, names in found.items()}
+
+
+def circles(graph: Mapping[str, set[str]]) -> list[list[str]]:
+    """Groups of modules, sorted, of which each one imports all others of its group, directly or through them."""
+    reach: dict[str, set[str]] = {}
+    for start in graph:
+        seen, todo = set[str](), list(graph[start])
+        while todo:
+            name = todo.pop()
+            if name not in seen:
+                seen.add(name)
+                todo.extend(graph[name])
+        reach[start] = seen
+    groups = {tuple(sorted(other for other in reach[name] if name in reach[other])) for name in graph}
+    return sorted(list(group) for group in groups if group)
+
+
+def _dotted(path: str) -> str:
+    return path.removesuffix(".py").removesuffix("/__init__").replace("/", ".")
 
 
 def within(name: str, *packages: str) -> bool:

@@ -1,10 +1,77 @@
-"""Who may import whom: the engines behind one door, the learner apart from the task, physics apart from grasping."""
+"""What may import what: rooms in one order, no circles, the engines behind one door, physics apart from grasping."""
 
 from __future__ import annotations
 
+from collections import Counter
+from pathlib import PurePosixPath
+
 import pytest
 
-from tests.imports import imported_names, modules, within
+from tests.imports import circles, imported_names, imports_within, modules, within
+
+ROOMS = {
+    "dgrasp": [
+        "errors", "types", "files", "config", "geometry", "hand", "objects", "scene", "labels", "motion", "control",
+        "rl", "env", "pool", "methods", "data", "build", "eval", "synthesis", "view", "export", "report",
+        "evaluation", "training", "request", "tables", "gym", "commands", "cli", "__main__",
+    ],
+    "raisim_like": [
+        "errors", "rotations", "shapes", "contact", "urdf", "kinematics", "material", "batch", "engines",
+        "rigid_body", "articulated_system", "world", "loop", "registry",
+    ],
+}  # fmt: skip
+"""The modules and folders of each package, lowest first: each imports itself and what stands before it."""
+MOST_FILES = 16
+"""Python modules in one folder, besides its `__init__`."""
+
+
+def room(module: str) -> str:
+    """The part of a package that a module belongs to."""
+    return module.split(".")[1]
+
+
+@pytest.mark.parametrize("package", ROOMS)
+def test_every_module_has_a_room(package: str) -> None:
+    rooms = {room(module) for module in imports_within(package) if module != package}
+    assert rooms and rooms <= set(ROOMS[package])
+
+
+@pytest.mark.parametrize("package", ROOMS)
+def test_no_import_runs_upwards(package: str) -> None:
+    """Imports inside functions and for type checking count too."""
+    height = {name: k for k, name in enumerate(ROOMS[package])}
+    upwards = [
+        (module, name)
+        for module, names in imports_within(package).items()
+        for name in names
+        if package not in (module, name) and height[room(name)] > height[room(module)]
+    ]
+    assert upwards == []
+
+
+@pytest.mark.parametrize("package", ROOMS)
+def test_no_files_import_each_other_in_a_circle(package: str) -> None:
+    assert circles(imports_within(package)) == []
+
+
+@pytest.mark.parametrize("package", ROOMS)
+def test_no_folder_is_crowded(package: str) -> None:
+    files = (PurePosixPath(path) for path, _ in modules(package))
+    count = Counter(path.parent for path in files if path.name != "__init__.py")
+    assert {str(folder): n for folder, n in count.items() if n > MOST_FILES} == {}
+
+
+@pytest.mark.parametrize(
+    ("graph", "expected"),
+    [
+        ({"a": {"b"}, "b": {"c"}, "c": set()}, []),
+        ({"a": {"b", "c"}, "b": {"c"}, "c": set()}, []),
+        ({"a": {"b"}, "b": {"a"}, "c": {"a"}}, [["a", "b"]]),
+        ({"a": {"b"}, "b": {"c"}, "c": {"d"}, "d": {"b"}, "e": {"f"}, "f": {"e"}}, [["b", "c", "d"], ["e", "f"]]),
+    ],
+)
+def test_circles_are_found(graph: dict[str, set[str]], expected: list[list[str]]) -> None:
+    assert circles(graph) == expected
 
 
 def offenders(folder: str, *forbidden: str) -> list[str]:

@@ -27,6 +27,8 @@ from dgrasp.objects.release import release_object
 from dgrasp.objects.store import default_store, find_object, load_object
 from dgrasp.pool import cores
 from dgrasp.types import GraspLabel
+from raisim_like.errors import EngineError
+from raisim_like.registry import BATCHES, find_engine
 
 HELP = """\
 Make static grasp labels for a hand and objects by gradient descent (contact, force closure, penetration, joint limits,
@@ -53,7 +55,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--data", default="free", metavar="free|DIR", help="whose 20 objects (default: free)")
     parser.add_argument("--store", type=Path, metavar="DIR", help="folder of added objects (default: data/objects)")
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--engine", choices=("pybullet", "mujoco"), default="pybullet",
+    parser.add_argument("--engine", choices=list(BATCHES), default="pybullet",
                         help="tries the grasps (default: pybullet; mujoco is five times faster)")
     parser.add_argument("--workers", type=int, metavar="N", help="processes (default: one per core)")
 
@@ -147,11 +149,8 @@ def _kept(
 
 
 def _require_engine(name: str) -> None:
-    from raisim_like.engines import make_engine
-    from raisim_like.errors import EngineError
-
     try:
-        make_engine(name)
+        find_engine(name)
     except EngineError as error:
         raise ConfigError(f"--engine: {error}") from None
 

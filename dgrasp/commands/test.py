@@ -30,7 +30,7 @@ from dgrasp.tables.plan import NAMES
 from dgrasp.types import EpisodeRecord
 from dgrasp.view.frames import gif_bytes, tile
 from dgrasp.view.meshes import DisplayMeshes
-from raisim_like.engines import ENGINES
+from raisim_like.registry import BATCHES
 
 HELP = """\
 Evaluate grasps: the policy (or baseline) grasps, the table is taken away, and the object must not fall
@@ -80,7 +80,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--split", choices=("train", "test"), help="which labels (default: train)")
     parser.add_argument("--labels", metavar="SOURCE|FILE", help="dexycb, grasptta, contactopt, or a label file")
     parser.add_argument("--objects", nargs="+", metavar="NAME", help="only these objects, such as 004_sugar_box")
-    parser.add_argument("--engine", choices=ENGINES, help="physics engine")
+    parser.add_argument("--engine", choices=list(BATCHES), help="physics engine")
     parser.add_argument("--window", type=float, metavar="SECONDS",
                         help="stability window (default: 5; the authors: 3.87)")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write JSON, and CSV, markdown, LaTeX beside it")

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import yaml
-from pydantic import BaseModel, Field, ValidationError, model_validator
+from pydantic import AfterValidator, BaseModel, Field, ValidationError, model_validator
 
 from dgrasp.config.sections import (
     MAX_STEPS,
@@ -27,6 +27,13 @@ from dgrasp.config.sections import (
 from dgrasp.config.values import apply_overrides, parse_yaml
 from dgrasp.errors import ConfigError
 from dgrasp.files.paths import cfg_root
+from raisim_like.registry import BATCHES
+
+
+def _known_engine(name: str) -> str:
+    if name not in BATCHES:
+        raise ValueError(f"expected one of {', '.join(BATCHES)}")
+    return name
 
 
 class Config(Section):
@@ -38,7 +45,7 @@ class Config(Section):
 
     name: Annotated[str, Field(pattern=r"^[^/\\\x00]{1,100}$")] = "dexycb"
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 1
-    engine: Literal["pybullet", "mujoco"] = "pybullet"
+    engine: Annotated[str, AfterValidator(_known_engine)] = "pybullet"
     device: Literal["auto", "cpu", "cuda"] = "auto"
     data: str | None = None
     hand: str | None = None

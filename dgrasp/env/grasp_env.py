@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -22,7 +22,7 @@ from dgrasp.objects.model import ObjectModel
 from dgrasp.rl.collect import Actor
 from dgrasp.rl.step import Step
 from dgrasp.scene.relations import Relations, relations
-from dgrasp.scene.scene import LOWERED_TOP, TABLE_TOP, Scene
+from dgrasp.scene.scene import LOWERED_TOP, TABLE_TOP
 from dgrasp.scene.state import state_views, take
 from dgrasp.scene.worlds import Worlds
 from dgrasp.types import Array, GraspGoal, GraspLabel, SceneState, StartPose
@@ -57,7 +57,6 @@ class GraspEnv:
     config: Config
     indices: Sequence[int] = ()
     total: int = 0
-    make_scene: Callable[..., Scene] = Scene
     events: list[str] = field(default_factory=list)
     grasp: Actor | None = None
 
@@ -76,7 +75,7 @@ class GraspEnv:
         self.o = Step.allocate(n, self.layer.size, len(self.reward.names))
         self.goal = make_goal(self.labels)
         self.starts = [start_pose(label, self.hand) for label in self.labels]
-        self.worlds = Worlds(self.labels, self.hand, self.objects, self.config, self.make_scene, self.s)
+        self.worlds = Worlds(self.labels, self.hand, self.objects, self.config, self.s)
         self._target = np.zeros((n, layout.n_dof))
         self._limits = self.hand.limits.T.copy()
         self._rng: dict[int, np.random.Generator] = {}
@@ -106,11 +105,6 @@ class GraspEnv:
     def close(self) -> None:
         """Free all worlds."""
         self.worlds.close()
-
-    @property
-    def scenes(self) -> list[Scene]:
-        """One per environment."""
-        return self.worlds.scenes
 
     @property
     def step_seconds(self) -> float:

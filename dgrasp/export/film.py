@@ -51,14 +51,14 @@ def record_pictures(
                     file = Path(folder) / f"{name}.obj"
                     write_obj(file, PartMesh(name, shape.vertices, shape.faces))
                     bodies[body] = world.add_body([Shape("mesh", file=file)], 0.0, np.eye(3))
-                    world.engine_world.set_color(bodies[body].id, OBJECT_COLOR if name == "object" else HAND_COLOR)
+                    bodies[body].set_color(OBJECT_COLOR if name == "object" else HAND_COLOR)
         table = world.add_body([Shape("box", TABLE_SIZE)], 0.0, np.eye(3))
-        world.engine_world.set_color(table.id, TABLE_COLOR)
+        table.set_color(TABLE_COLOR)
         for step in range(0, len(t), every):
             for body, solid in bodies.items():
                 solid.set_state(t[step, body], q[step, body])
             table.set_state((*TABLE_XY, tops[step] - TABLE_SIZE[2] / 2))
-            yield world.engine_world.render(eye(target, yaw), target, *size).copy()
+            yield world.render(eye(target, yaw), target, *size).copy()
     finally:
         world.close()
 

@@ -13,14 +13,44 @@ from dgrasp.config.sections import PhysicsConfig
 from dgrasp.hand.model import HandModel
 from dgrasp.objects.model import ObjectModel
 from dgrasp.pool.base import PoolSpec
-from dgrasp.scene.scene import LOWERED_TOP, TABLE_TOP, Scene
+from dgrasp.scene.scene import LOWERED_TOP, TABLE_TOP, scene_spec, table_state
 from dgrasp.types import Array, EpisodeRecord, SceneState
+from raisim_like.articulated_system import ArticulatedSystem
+from raisim_like.rigid_body import RigidBody
 from raisim_like.rotations import matrix_from_euler, quaternion_from_matrix, transform
 from raisim_like.shapes import Shape
+from raisim_like.world import World
 
 HAND_COLOR = (0.92, 0.76, 0.62, 1.0)
 OBJECT_COLOR = (0.25, 0.47, 0.75, 1.0)
 TABLE_COLOR = (0.86, 0.84, 0.80, 1.0)
+
+
+class Stage:
+    """A hand, an object and a table that are placed and drawn, never simulated."""
+
+    def __init__(self, hand: HandModel, model: ObjectModel, engine: str) -> None:
+        self._world = World.from_spec(scene_spec(hand, model, PhysicsConfig()), engine)
+        system, thing, table = self._world.objects
+        assert isinstance(system, ArticulatedSystem) and isinstance(thing, RigidBody) and isinstance(table, RigidBody)
+        self._hand, self._object, self._table = system, thing, table
+        for item, color in ((system, HAND_COLOR), (thing, OBJECT_COLOR), (table, TABLE_COLOR)):
+            item.set_color(color)
+
+    def close(self) -> None:
+        """Free the world."""
+        self._world.close()
+
+    def place(self, T_WH0: Array, gc: Array, T_WO: Array, table_top: float) -> None:
+        """Put the hand's base (4, 4) and coordinates (dof,), the object (4, 4) and the table's top (m, world)."""
+        self._hand.set_base_pose(T_WH0[:3, 3], quaternion_from_matrix(T_WH0[:3, :3]))
+        self._hand.set_state(gc)
+        self._object.set_state(T_WO[:3, 3], quaternion_from_matrix(T_WO[:3, :3]))
+        self._table.set_state(table_state(table_top)[:3])
+
+    def picture(self, eye: Array, target: Array, size: tuple[int, int]) -> Array:
+        """(height, width, 3) uint8 from `eye` (3,) towards `target` (3,), m, world; size: (width, height)."""
+        return self._world.render(eye, target, *size).copy()
 
 
 def render_record(
@@ -35,11 +65,8 @@ def render_record(
     if model.mesh is not None:
         # Nothing is simulated here, and PyBullet, which draws for every engine, takes the object's mesh as it is.
         model, engine = replace(model, shapes=(Shape("mesh", file=model.mesh),)), "pybullet"
-    scene = Scene(hand, model, PhysicsConfig(), engine)
+    stage = Stage(hand, model, engine)
     try:
-        world = scene.world.engine_world
-        for body, color in ((scene.hand, HAND_COLOR), (scene.object, OBJECT_COLOR), (scene.table, TABLE_COLOR)):
-            world.set_color(body.id, color)
         frames = []
         first = record.T_WO[0, :3, 3]
         target = np.array([first[0], first[1], first[2] + 0.03])
@@ -49,14 +76,12 @@ def render_record(
             # The hand's base is found from the wrist: T_WH = T_WH0 * (translation, Euler angles of gc).
             R_WH0 = record.T_WH[t, :3, :3] @ matrix_from_euler(gc[3:6]).T
             origin = record.T_WH[t, :3, 3] - R_WH0 @ gc[:3]
-            scene.hand.set_base_pose(origin, quaternion_from_matrix(R_WH0))
-            scene.hand.set_state(gc)
-            scene.object.set_state(record.T_WO[t, :3, 3], quaternion_from_matrix(record.T_WO[t, :3, :3]))
-            scene.set_table_top(TABLE_TOP if record.table_stays or t < record.window_start else LOWERED_TOP)
-            frames.append(world.render(eye, target, *size).copy())
+            top = TABLE_TOP if record.table_stays or t < record.window_start else LOWERED_TOP
+            stage.place(transform(R_WH0, origin), gc, record.T_WO[t], top)
+            frames.append(stage.picture(eye, target, size))
         return frames
     finally:
-        scene.close()
+        stage.close()
 
 
 def render_state(state: SceneState, row: int, spec: PoolSpec, size: tuple[int, int] = (320, 240)) -> Array:

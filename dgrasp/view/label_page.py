@@ -10,13 +10,12 @@ from collections.abc import Iterable, Mapping, Sequence
 import numpy as np
 from PIL import Image
 
-from dgrasp.config.sections import PhysicsConfig
 from dgrasp.hand.model import HandModel
 from dgrasp.labels.quality.measure import Finding
 from dgrasp.objects.model import ObjectModel
-from dgrasp.scene.scene import TABLE_TOP, Scene
+from dgrasp.scene.scene import TABLE_TOP
 from dgrasp.types import Array, GraspLabel
-from dgrasp.view.frames import HAND_COLOR, OBJECT_COLOR, TABLE_COLOR
+from dgrasp.view.frames import Stage
 
 SIZE = (280, 210)
 _EYE = np.array([0.36, -0.32, 0.26])
@@ -34,21 +33,20 @@ td:first-child, th:first-child { text-align: left; }
 def label_pictures(
     labels: Sequence[GraspLabel], hand: HandModel, objects: Mapping[str, ObjectModel]
 ) -> dict[int, Array]:
-    """Pictures (height, width, 3) uint8 of the grasps, by the labels' places; one scene per object draws them all."""
+    """Pictures (height, width, 3) uint8 of the grasps, by the labels' places; one stage per object draws them all."""
     pictures: dict[int, Array] = {}
     for name in dict.fromkeys(label.object_id for label in labels):
-        scene = Scene(hand, objects[name], PhysicsConfig(), "pybullet")
+        stage = Stage(hand, objects[name], "pybullet")
         try:
-            world = scene.world.engine_world
-            for body, color in ((scene.hand, HAND_COLOR), (scene.object, OBJECT_COLOR), (scene.table, TABLE_COLOR)):
-                world.set_color(body.id, color)
             for i, label in enumerate(labels):
                 if label.object_id == name:
                     top = TABLE_TOP if label.on_table else _NO_TABLE
-                    scene.place(label.T_WH, label.hand_pose, label.T_WO, top)
-                    pictures[i] = world.render(label.T_WO[:3, 3] + _EYE, label.T_WO[:3, 3], *SIZE).copy()
+                    gc = np.zeros(hand.urdf.dof)
+                    gc[-len(label.hand_pose) :] = label.hand_pose
+                    stage.place(label.T_WH, gc, label.T_WO, top)
+                    pictures[i] = stage.picture(label.T_WO[:3, 3] + _EYE, label.T_WO[:3, 3], SIZE)
         finally:
-            scene.close()
+            stage.close()
     return pictures
 
 

@@ -15,7 +15,7 @@ ENGINES = ("pybullet", "mujoco")
 def make_engine(name: str) -> Engine:
     """The engine of that name; raises `EngineError` with the valid names."""
     if name == "pybullet":
-        from raisim_like.engines.bullet.world import BulletEngine
+        from raisim_like.engines.bullet.engine import BulletEngine
 
         return BulletEngine()
     if name == "mujoco":

@@ -1,12 +1,13 @@
-"""What an engine offers to `raisim_like`. Bodies are named by the integer ids that the engine returns."""
+"""What an engine of single worlds offers to `World`. Bodies are named by the integer ids that the engine returns."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, Literal, Protocol
+from typing import Any, Protocol
 
 from numpy.typing import NDArray
 
+from raisim_like.batch import Preset
 from raisim_like.contact import Contact
 from raisim_like.material import MaterialTable
 from raisim_like.shapes import Shape
@@ -14,9 +15,6 @@ from raisim_like.urdf import UrdfModel
 
 Array = NDArray[Any]
 
-
-Preset = Literal["faithful", "fast"]
-"""Settings of an engine: as near to RaiSim as it gets, or faster where that costs some of it."""
 STRIDE: dict[Preset, int] = {"faithful": 1, "fast": 2}
 """Timesteps that one step of an engine takes at most (docs/physics.md)."""
 
@@ -115,7 +113,7 @@ class EngineWorld(Protocol):
         """
 
     def save(self) -> Any:
-        """All that the next steps depend on, but for gravity, materials and who is there."""
+        """All that the next steps depend on, except gravity, materials and the set of bodies."""
 
     def restore(self, snapshot: Any) -> None:
         """Go back to a snapshot of this world, which may be done any number of times.

@@ -2,39 +2,33 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import pytest
 
+from dgrasp.env.grasp_env import GraspEnv
 from dgrasp.rl.collect import Actor, Trajectories, collect
-from dgrasp.scene.scene import Scene
+from dgrasp.scene.scene import OBJECT
 from dgrasp.scene.worlds import MAX_FALL, MAX_SPEED
 from dgrasp.types import Array
+from raisim_like.loop import LoopBatch
 from tests.env.build import actions, label, make_env
 
 QUICK = ["physics.substeps=2"]
 
 
-class Faulty(Scene):
-    """A scene whose physics can be made to fail once."""
+def fail_once(env: GraspEnv, row: int, fault: tuple[str, float]) -> None:
+    """Make the physics of one world fail in the next step."""
+    batch, (where, value) = env.worlds.batch, fault
+    state, advance = batch.state, batch.advance
 
-    fault: tuple[str, float] | None = None
+    def failing(rows: Sequence[int], targets: Array, substeps: int) -> None:
+        advance(rows, targets, substeps)
+        {"gc": state.gc, "gv": state.gv, "object": state.bodies[:, OBJECT]}[where][row, 8] = value
+        batch.advance = advance  # type: ignore[method-assign]
 
-    def read(self, gc: Array, gv: Array, impulse: Array, object_state: Array) -> None:
-        super().read(gc, gv, impulse, object_state)
-        if self.fault is not None:
-            where, value = self.fault
-            {"gc": gc, "gv": gv, "object": object_state}[where][8] = value
-            self.fault = None
-
-
-class Fallen(Scene):
-    """An object that has fallen past the table long ago."""
-
-    speed = 0.0
-
-    def read(self, gc: Array, gv: Array, impulse: Array, object_state: Array) -> None:
-        super().read(gc, gv, impulse, object_state)
-        object_state[2], object_state[9] = -200.0, -self.speed
+    batch.advance = failing  # type: ignore[method-assign]
 
 
 FAULTS = [
@@ -44,13 +38,13 @@ FAULTS = [
 
 @pytest.mark.parametrize("fault", FAULTS)
 def test_a_broken_simulation_ends_its_own_episode(fault: tuple[str, float]) -> None:
-    faulty = make_env(2, first=5, overrides=QUICK, make_scene=Faulty)
+    faulty = make_env(2, first=5, overrides=QUICK)
     sound = make_env(2, first=5, overrides=QUICK)
     faulty.reset(0)
     sound.reset(0)
     for t in range(5):
         if t == 2:
-            faulty.scenes[1].fault = fault  # type: ignore[attr-defined]
+            fail_once(faulty, 1, fault)
         before = faulty.o.observation[1].copy()
         out, expected = faulty.step(actions(2, t)), sound.step(actions(2, t))
         assert out.terminated.tolist() == [False, t == 2] and not out.truncated.any()
@@ -74,17 +68,17 @@ def test_a_broken_simulation_ends_its_own_episode(fault: tuple[str, float]) -> N
 def test_what_a_broken_episode_ends_with_is_nothing_to_learn_from() -> None:
     """The learner takes final observations of truncated episodes alone: these arrays have none of the broken ones."""
     steps = 6
-    env = make_env(2, overrides=[*QUICK, f"env.episode_steps={steps}", "env.grasp_steps=1"], make_scene=Faulty)
+    env = make_env(2, overrides=[*QUICK, f"env.episode_steps={steps}", "env.grasp_steps=1"])
     out = Trajectories.allocate(steps, 2, env.observation_size, env.action_size, len(env.reward_terms))
     layer = (np.zeros((51, env.observation_size), np.float32), np.zeros(51, np.float32))
     actor, made = Actor((layer,), np.full(51, 0.5, np.float32), 5), []
 
-    def fail_once(_: int) -> None:
+    def count(_: int) -> None:
         made.append(1)
         if len(made) == 3:
-            env.scenes[1].fault = ("gc", np.nan)  # type: ignore[attr-defined]
+            fail_once(env, 1, ("gc", np.nan))
 
-    collect(env, actor, 1, [0, 1], out, fail_once)
+    collect(env, actor, 1, [0, 1], out, count)
     assert out.terminated[:, 1].tolist() == [False, False, False, True, False, False] and not out.truncated[:, 1].any()
     assert out.truncated[:, 0].tolist() == [False] * 5 + [True]
     assert out.final_observations[:, 0].any() and not out.final_observations[:, 1].any()
@@ -92,10 +86,19 @@ def test_what_a_broken_episode_ends_with_is_nothing_to_learn_from() -> None:
 
 
 def test_a_long_fall_past_the_table_is_no_broken_simulation() -> None:
-    env = make_env(1, overrides=QUICK, make_scene=Fallen)
+    env = make_env(1, overrides=QUICK)
     env.reset(0, "test")
+    batch, fall = env.worlds.batch, 0.0
+    advance = batch.advance
+
+    def fallen(rows: Sequence[int], targets: Array, substeps: int) -> None:
+        """The object has fallen past the table long ago."""
+        advance(rows, targets, substeps)
+        batch.state.bodies[0, OBJECT, [2, 9]] = -200.0, -fall
+
+    batch.advance = fallen  # type: ignore[method-assign]
     for speed, broken in ((2 * MAX_SPEED, False), (2 * MAX_FALL, True)):
-        env.scenes[0].speed = speed  # type: ignore[attr-defined]
+        fall = speed
         assert env.step(actions(1, 0)).broken.tolist() == [broken]
     env.close()
 
@@ -104,10 +107,12 @@ def test_a_world_full_of_nan_is_replaced() -> None:
     """The engine itself breaks, and keeps NaN wherever it can."""
     env = make_env(2, overrides=QUICK)
     env.reset(0)
-    scene = env.scenes[1]
-    scene.world.engine_world.set_feed_forward(scene.hand.id, np.full(51, np.nan))
+    batch = env.worlds.batch
+    assert isinstance(batch, LoopBatch)
+    world = batch.worlds[1]
+    world.engine_world.set_feed_forward(world.objects[0].id, np.full(51, np.nan))
     assert env.step(actions(2, 0)).terminated.tolist() == [False, True]
-    assert env.scenes[1] is not scene
+    assert batch.worlds[1] is not world
     for t in range(3):
         out = env.step(actions(2, t))
         assert not out.terminated.any() and np.isfinite(out.observation).all()
@@ -116,10 +121,10 @@ def test_a_world_full_of_nan_is_replaced() -> None:
 
 
 def test_a_broken_test_episode_stays_out_until_the_next_reset() -> None:
-    env = make_env(2, overrides=QUICK, make_scene=Faulty)
+    env = make_env(2, overrides=QUICK)
     env.reset(0, mode="test")
     env.step(actions(2, 0))
-    env.scenes[0].fault = ("gc", np.nan)  # type: ignore[attr-defined]
+    fail_once(env, 0, ("gc", np.nan))
     assert env.step(actions(2, 1)).terminated.tolist() == [True, False]
     assert env.alive.tolist() == [False, True]
     env.remove_table()

@@ -12,8 +12,9 @@ from dgrasp.env.goal import make_goal
 from dgrasp.env.grasp_env import GraspEnv
 from dgrasp.env.start import APPROACH_DISTANCE, start_pose
 from dgrasp.hand.load import load_hand
-from dgrasp.scene.scene import Scene
+from dgrasp.scene.scene import TABLE
 from raisim_like.rotations import matrix_from_euler, transform
+from raisim_like.world import STATIC, SYSTEM
 from tests.env.build import moved_label, random_labels, random_rotations
 from tests.scenes import free_hand, make_spec
 
@@ -80,11 +81,8 @@ def test_the_table_stops_the_hand_of_labels_alone_that_know_it() -> None:
     """Grasps of synthesis methods may come from below the surface (supplement, B.5)."""
     spec = make_spec(2, [])
     labels = [spec.labels[0], replace(spec.labels[1], on_table=False)]
-    asked = []
-
-    def make(hand, model, physics, engine):
-        asked.append(physics.hand_table_collision)
-        return Scene(hand, model, physics, engine)
-
-    GraspEnv(labels, spec.hand, spec.objects, spec.config, make_scene=make).close()
-    assert asked == [True, False] and spec.config.physics.hand_table_collision
+    env = GraspEnv(labels, spec.hand, spec.objects, spec.config)
+    env.close()
+    meets_table = [bool(world.systems[0].mask >> 8 & STATIC) for world in env.worlds.specs]
+    met_by_table = [bool(world.bodies[TABLE].mask >> 8 & SYSTEM) for world in env.worlds.specs]
+    assert meets_table == met_by_table == [True, False] and spec.config.physics.hand_table_collision

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -11,9 +11,10 @@ import pytest
 
 from dgrasp.config.experiment import load_config
 from dgrasp.env.grasp_env import GraspEnv
-from dgrasp.scene.scene import LOWERED_TOP, TABLE_TOP, Scene
+from dgrasp.scene.scene import LOWERED_TOP, TABLE_TOP
 from dgrasp.scene.worlds import Worlds
 from dgrasp.types import Array
+from raisim_like.loop import LoopBatch
 from raisim_like.rotations import euler_from_matrix
 from tests.env.build import actions, box, hand, label, make_env
 
@@ -33,13 +34,13 @@ def env(engine: str) -> Iterator[GraspEnv]:
 def targets(monkeypatch: pytest.MonkeyPatch) -> list[Array]:
     """The PD targets that any hand is given."""
     given: list[Array] = []
-    tell = Scene.set_target
+    advance = LoopBatch.advance
 
-    def record(scene: Scene, target: Array) -> None:
-        given.append(target.copy())
-        tell(scene, target)
+    def record(batch: LoopBatch, rows: Sequence[int], targets: Array, substeps: int) -> None:
+        given.extend(targets[rows])
+        advance(batch, rows, targets, substeps)
 
-    monkeypatch.setattr(Scene, "set_target", record)
+    monkeypatch.setattr(LoopBatch, "advance", record)
     return given
 
 

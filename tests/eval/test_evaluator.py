@@ -59,23 +59,23 @@ def test_the_pd_baseline_starts_in_the_labels_pose_without_a_table(pool):
     # The wrist, which is to carry the object's weight, rises until the object does weigh on it.
     rise = records[1].T_WH[0, :3, 3] - label.T_WH[:3, 3]
     assert np.abs(rise[:2]).max() < 2e-3
-    assert 0.0 < rise[2] < 10.0 * pool.env.scenes[1].object_model.mass / 500.0
+    assert 0.0 < rise[2] < 10.0 * pool.env.s.object_mass[1] / 500.0
     assert np.allclose(records[1].gc[0, 6:], label.hand_pose, atol=2e-2)
     # One control step of free fall from rest: g t^2 / 2 = 4.1 mm.
     assert label.T_WO[2, 3] - records[1].T_WO[0, 2, 3] == pytest.approx(4.1e-3, abs=5e-4)
 
 
 def test_an_explosion_cuts_the_record_and_is_a_failure(pool, monkeypatch):
-    scene = pool.env.scenes[0]
-    read, calls = scene.read, []
+    batch = pool.env.worlds.batch
+    advance, calls = batch.advance, []
 
-    def broken(gc, gv, impulse, object_state):
-        read(gc, gv, impulse, object_state)
+    def broken(rows, targets, substeps):
+        advance(rows, targets, substeps)
         calls.append(1)
-        if len(calls) == 6:
-            gc[20] = np.nan
+        if len(calls) == 5:
+            batch.state.gc[0, 20] = np.nan
 
-    monkeypatch.setattr(scene, "read", broken)
+    monkeypatch.setattr(batch, "advance", broken)
     records, _ = evaluate(pool, Still(), windowed(pool, 0.1))
     assert records[0].terminated == UNSTABLE and len(records[0].gc) == 4 and np.isfinite(records[0].gc).all()
     assert not success(records[0], 0.1) and records[1].terminated == ""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -9,6 +11,7 @@ from scipy.spatial.transform import Rotation
 from dgrasp.config.sections import ActionConfig, MotionConfig
 from dgrasp.control.controllers import HOLD_KP_POSITION
 from dgrasp.control.motion import MotionSynthesis, nearest_euler, wrist_target
+from dgrasp.scene.scene import OBJECT
 from dgrasp.types import Array, SceneState
 from raisim_like.rotations import (
     euler_from_matrix,
@@ -145,19 +148,19 @@ def test_in_a_world_the_wrist_brings_what_it_holds_to_the_target() -> None:
     env = make_env(1, overrides=["physics.preset=fast", "motion.ramp_position=60", "motion.ramp_rotation=60"])
     try:
         env.reset(mode="test")
-        scene, action = env.scenes[0], np.zeros((1, 51), np.float32)
+        batch, action = env.worlds.batch, np.zeros((1, 51), np.float32)
         start = env.s.gc[0, :6].copy()
         T_HO = transform(np.eye(3), np.array([0.1, 0.0, 0.0]))
-        read = scene.read
+        advance, object_state = batch.advance, batch.state.bodies[0, OBJECT]
 
-        def glued(gc: Array, gv: Array, impulse: Array, object_state: Array) -> None:
+        def glued(rows: Sequence[int], targets: Array, substeps: int) -> None:
             """The object sits in the hand, whatever the simulated one does."""
-            read(gc, gv, impulse, object_state)
-            R, joints = hand().forward(gc[None], env.s.R_WH0, env.s.wrist_start_W)
+            advance(rows, targets, substeps)
+            R, joints = hand().forward(env.s.gc, env.s.R_WH0, env.s.wrist_start_W)
             T = transform(R, joints[:, 0])[0] @ T_HO
             object_state[:3], object_state[3:7] = T[:3, 3], Rotation.from_matrix(T[:3, :3]).as_quat()[[3, 0, 1, 2]]
 
-        scene.read = glued  # type: ignore[method-assign]
+        batch.advance = glued  # type: ignore[method-assign]
         env.step(action)
         T_WO = transform(env.s.R_WO, env.s.object_pos_W)
         T_WG = T_WO.copy()

@@ -13,7 +13,8 @@ from dgrasp.types import Array
 from raisim_like import ArticulatedSystem, Shape, World, read_urdf
 from raisim_like.engines.bullet import mass as bullet_mass
 from raisim_like.engines.bullet import pd as bullet_pd
-from raisim_like.engines.bullet.urdf import LIGHT_INERTIA, simulated_inertias
+from raisim_like.engines.bullet.urdf import simulated_inertias
+from raisim_like.engines.floors import LIGHT_INERTIA
 from tests.raisim_like.urdfs import mass_matrix, write_chain
 
 DT, G = 0.00222, 9.81

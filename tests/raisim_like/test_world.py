@@ -196,8 +196,8 @@ def test_cylinders_roll_and_boxes_have_the_inertia_of_solids(engine: str) -> Non
 def test_pictures_need_no_display(engine: str) -> None:
     world = World(engine)
     box = world.add_box(0.2, 0.2, 0.2, 1.0)
-    world.engine_world.set_color(box.id, (1.0, 0.0, 0.0, 1.0))
-    picture = world.engine_world.render(np.array([1.0, 0.0, 0.5]), np.zeros(3), 64, 48)
+    box.set_color((1.0, 0.0, 0.0, 1.0))
+    picture = world.render((1.0, 0.0, 0.5), (0.0, 0.0, 0.0), 64, 48)
     assert picture.shape == (48, 64, 3) and picture.dtype == np.uint8
     red, green, _ = (int(value) for value in picture[24, 32])
     assert red > green + 30

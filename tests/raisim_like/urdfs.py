@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from dgrasp.types import Array
-from raisim_like.engines.bullet.urdf import MIN_MASS
+from raisim_like.engines.floors import MIN_MASS
 from raisim_like.rotations import transform
 from raisim_like.urdf import UrdfModel
 

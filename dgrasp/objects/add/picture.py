@@ -43,11 +43,10 @@ def _views(solids: Sequence[tuple[Shape, tuple[float, ...]]], bounds: Array) -> 
     world = World("pybullet", 1.0)
     try:
         for shape, color in solids:
-            made = world.add_body([shape], 0.0, np.eye(3))
-            world.engine_world.set_color(made.id, color)
+            world.add_body([shape], 0.0, np.eye(3)).set_color(color)
         middle = bounds.mean(axis=0)
         away = max(1.6 * float(np.linalg.norm(bounds[1] - bounds[0])), 0.05)
         eyes = [middle + away * np.array(side) / np.linalg.norm(side) for side in _SIDES]
-        return [world.engine_world.render(eye, middle, SIZE, SIZE).copy() for eye in eyes]
+        return [world.render(eye, middle, SIZE, SIZE).copy() for eye in eyes]
     finally:
         world.close()

@@ -6,7 +6,8 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from raisim_like.engines.bullet.urdf import LIGHT_INERTIA, simulated_inertias
+from raisim_like.engines.bullet.urdf import simulated_inertias
+from raisim_like.engines.floors import LIGHT_INERTIA
 from raisim_like.engines.protocol import Array
 from raisim_like.urdf import UrdfModel
 

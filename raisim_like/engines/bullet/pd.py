@@ -20,20 +20,16 @@ this dt is the engine's step, which the fast preset makes longer than the world'
 
 from __future__ import annotations
 
-import time
 from collections.abc import Sequence
 from functools import cache
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from raisim_like.batch import Preset
 from raisim_like.engines.bullet.mass import axes_of, inverse
 from raisim_like.engines.bullet.quiet_pybullet import pybullet as p
-from raisim_like.engines.protocol import Array, Preset, engine_steps
+from raisim_like.engines.protocol import Array
 from raisim_like.urdf import UrdfModel
-
-if TYPE_CHECKING:
-    from raisim_like.engines.bullet.world import BulletWorld
 
 OBSERVER_GAIN = 0.15
 """beta per timestep. 0.5 went unstable on stiff contacts; a slower observer lets a grip sag."""
@@ -41,8 +37,6 @@ HOLD: dict[Preset, int] = {"faithful": 1, "fast": 2}
 """Steps of the engine per torque (docs/physics.md)."""
 REFRESH_MOTION = 0.1
 """rad or m that a joint may move before the mass matrices are computed anew; D' outweighs them by far."""
-CHUNK = 8
-"""Worlds stepped in turn, block by block: enough to batch their algebra, few enough for the cache."""
 
 
 class ImplicitPd:
@@ -106,8 +100,8 @@ class ImplicitPd:
         return self.kd + self.damping + self.dt * self.kp
 
 
-class _Batch:
-    """Systems of one model, controlled together for one call of `integrate_worlds`.
+class ControlBatch:
+    """Systems of one model, controlled together for one call of `engine.integrate_worlds`.
 
     stretch: timesteps in one of the engine's steps.
     """
@@ -198,40 +192,3 @@ def blocks(steps: int, length: float, longest: int) -> tuple[int, ...]:
         numbers.append(m)
         steps -= m
     return tuple(numbers)
-
-
-def integrate_worlds(worlds: Sequence[BulletWorld], substeps: int) -> None:
-    """Advance worlds together: the linear algebra of their controllers is batched, the steps are not."""
-    for kind in dict.fromkeys((world.timestep, world.preset) for world in worlds):
-        alike = [world for world in worlds if (world.timestep, world.preset) == kind]
-        for first in range(0, len(alike), CHUNK):
-            _integrate_chunk(alike[first : first + CHUNK], substeps)
-
-
-def _integrate_chunk(worlds: Sequence[BulletWorld], substeps: int) -> None:
-    timestep, preset = worlds[0].timestep, worlds[0].preset
-    total, length = engine_steps(substeps, timestep, preset)
-    groups: dict[int, list[ImplicitPd]] = {}
-    for world in worlds:
-        for system in world.systems.values():
-            system.set_timestep(length)
-            groups.setdefault(id(system.model), []).append(system)
-    batches = [_Batch(group, length / timestep) for group in groups.values()]
-    clock = time.perf_counter
-    for steps in blocks(total, length, HOLD[preset]):
-        for batch in batches:
-            batch.push(steps)
-        for world in worlds:
-            # What is said to a world and asked of it stands next to its step, while its memory is in the cache.
-            for system in world.systems.values():
-                system.apply()
-            world.set_block(steps, length)
-            start = clock()
-            p.stepSimulation(physicsClientId=world.client)
-            world.step_seconds += clock() - start
-            for system in world.systems.values():
-                system.observe()
-        for batch in batches:
-            batch.pull(steps)
-    for batch in batches:
-        batch.store()

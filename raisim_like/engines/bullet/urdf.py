@@ -9,19 +9,16 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 from numpy.typing import NDArray
 
+from raisim_like.engines.floors import LIGHT_INERTIA, MIN_MASS
 from raisim_like.rotations import transform
 from raisim_like.shapes import Shape
 from raisim_like.urdf import UrdfLink, UrdfModel, shape_pose
 
 LINK_INERTIA = 3e-4
 """kg m^2 of every revolute link. Bullet's contact solver sees the links, not the controller; grams at the
-end of a chain would leave it unconverged, and the controller gives back the difference (bullet_pd)."""
+end of a chain would leave it unconverged, and the controller gives back the difference (`pd`)."""
 WRIST_INERTIA = 1e-3
 """The same for the links of the wrist's own rotations."""
-LIGHT_INERTIA = 1e-6
-"""Inertia that the light hand, which the controller imitates, has per link."""
-MIN_MASS = 1e-5
-"""kg. PyBullet fixes links without mass."""
 FAR = 1e3
 """m. The limit of a slider that has none: PyBullet takes no prismatic joint without."""
 

@@ -1,4 +1,4 @@
-"""PyBullet behind the engine protocol: worlds, bodies, contacts, pictures."""
+"""A world of PyBullet behind the engine protocol: bodies, contacts, pictures."""
 
 from __future__ import annotations
 
@@ -8,16 +8,18 @@ from weakref import WeakSet
 
 import numpy as np
 
+from raisim_like.batch import Preset
 from raisim_like.contact import Contact
 from raisim_like.engines.body_frame import BodyFrame
 from raisim_like.engines.bullet.bodies import make_articulated, make_body
 from raisim_like.engines.bullet.contacts import contacts_of, link_impulses, touching
-from raisim_like.engines.bullet.pd import HOLD, ImplicitPd, blocks, integrate_worlds
+from raisim_like.engines.bullet.friction import factors
+from raisim_like.engines.bullet.pd import HOLD, ImplicitPd, blocks
 from raisim_like.engines.bullet.quiet_pybullet import pybullet as p
 from raisim_like.engines.bullet.shapes import xyzw
 from raisim_like.engines.bullet.state import BulletSnapshot
 from raisim_like.engines.pending import Pending
-from raisim_like.engines.protocol import Array, EngineWorld, Preset, engine_steps
+from raisim_like.engines.protocol import Array, engine_steps
 from raisim_like.errors import EngineError
 from raisim_like.material import MaterialTable
 from raisim_like.rotations import matrix_from_quaternion
@@ -34,9 +36,6 @@ RESIDUAL: dict[Preset, float] = {"faithful": 0.0, "fast": 1e-7}
 """At this change per iteration the solver stops. 1e-7 holds the same grasps as 0, but lets blocks creep on slopes."""
 CONTACT_BREAKING_THRESHOLD = 0.001
 """m. Bullet's 0.02 keeps contact points of parts that are centimetres apart and costs 45% of the speed."""
-
-CONTROL_STEP = 13
-"""Substeps at most for which the controller keeps its mass matrices; it turns unstable when they are far from true."""
 
 
 class _Body:
@@ -72,7 +71,6 @@ class BulletWorld:
             collisionFilterMode=0,
             physicsClientId=self.client,
         )
-
         self._snapshots = WeakSet[BulletSnapshot]()
         self._pending, self._lasting = Pending(), dict[int, Array]()
         self._block = 0, 0.0
@@ -141,12 +139,12 @@ class BulletWorld:
     def apply_materials(self, table: MaterialTable) -> None:
         materials = {uid: body.material for uid, body in self.bodies.items()} | self._system_material
         names = sorted(materials.values())
-        touching = {frozenset((a, b)) for i, a in enumerate(names) for b in names[i + 1 :]}
-        factors = table.factors(names, touching)
+        pairs = {frozenset((a, b)) for i, a in enumerate(names) for b in names[i + 1 :]}
+        coefficients = factors(table, names, pairs)
         for uid, material in materials.items():
             for link in range(-1, p.getNumJoints(uid, physicsClientId=self.client)):
                 p.changeDynamics(
-                    uid, link, lateralFriction=factors[material], restitution=0.0, physicsClientId=self.client
+                    uid, link, lateralFriction=coefficients[material], restitution=0.0, physicsClientId=self.client
                 )
 
     def set_body_state(self, body: int, state: Array) -> None:
@@ -275,29 +273,3 @@ class BulletWorld:
     def set_color(self, body: int, rgba: Sequence[float]) -> None:
         for link in range(-1, p.getNumJoints(body, physicsClientId=self.client)):
             p.changeVisualShape(body, link, rgbaColor=list(rgba), physicsClientId=self.client)
-
-
-class BulletEngine:
-    """PyBullet. Its worlds are independent clients; one process may hold many."""
-
-    name = "pybullet"
-
-    def make_world(self, timestep: float, preset: Preset) -> EngineWorld:
-        return BulletWorld(timestep, preset)
-
-    def integrate(self, worlds: Sequence[EngineWorld], substeps: int) -> None:
-        mine = [w for w in worlds if isinstance(w, BulletWorld)]
-        pushed = [w for w in mine if w.begin_pending()] if substeps else []
-        if pushed:
-            integrate_worlds(pushed, 1)
-            for world in pushed:
-                world.end_pending()
-            _integrate(pushed, substeps - 1)
-            mine = [w for w in mine if w not in pushed]
-        _integrate(mine, substeps)
-
-
-def _integrate(worlds: Sequence[BulletWorld], substeps: int) -> None:
-    for done in range(0, substeps, CONTROL_STEP):
-        integrate_worlds(worlds, min(CONTROL_STEP, substeps - done))
-

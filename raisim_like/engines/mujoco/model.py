@@ -10,10 +10,11 @@ from typing import Any
 import mujoco as mj
 import numpy as np
 
+from raisim_like.batch import Preset
 from raisim_like.engines.body_frame import BodyFrame
-from raisim_like.engines.bullet.urdf import LIGHT_INERTIA, MIN_MASS
+from raisim_like.engines.floors import LIGHT_INERTIA, MIN_MASS
 from raisim_like.engines.mujoco.collision import chains, collision_bits
-from raisim_like.engines.protocol import Array, Preset
+from raisim_like.engines.protocol import Array
 from raisim_like.errors import EngineError
 from raisim_like.material import MaterialTable
 from raisim_like.rotations import quaternion_from_matrix

@@ -10,14 +10,15 @@ from collections.abc import Sequence
 import mujoco as mj
 import numpy as np
 
+from raisim_like.batch import Preset
 from raisim_like.contact import Contact
 from raisim_like.engines.body_frame import BodyFrame
 from raisim_like.engines.mujoco import state as mujoco_state
-from raisim_like.engines.mujoco.contacts import contacts_of, keep_sliding_contacts_closed, pair_forces
+from raisim_like.engines.mujoco.contacts import SlidingContacts, contacts_of, pair_forces
 from raisim_like.engines.mujoco.model import BuiltModel, Drive, Item, Solid, System
 from raisim_like.engines.pending import Pending
 from raisim_like.engines.picture import Picture
-from raisim_like.engines.protocol import Array, EngineWorld, Preset, engine_steps
+from raisim_like.engines.protocol import Array, EngineWorld, engine_steps
 from raisim_like.errors import EngineError
 from raisim_like.material import MaterialTable
 from raisim_like.shapes import Shape
@@ -50,6 +51,7 @@ class MujocoWorld:
         self._gravity = np.zeros(3)
         self._materials = MaterialTable()
         self._built: BuiltModel | None = None
+        self._sliding: SlidingContacts
         self._stale = True
         self._colors: dict[int, Sequence[float]] = {}
         self._picture: Picture | None = None
@@ -122,6 +124,7 @@ class MujocoWorld:
         if old is not None:
             mujoco_state.carry_over(old, new)
         self._built, self._stale = new, False
+        self._sliding = SlidingContacts(new, self._materials.default_friction)
         return new
 
     def set_body_state(self, body: int, state: Array) -> None:
@@ -194,6 +197,7 @@ class MujocoWorld:
         built = self._ready()
         if built.model.opt.timestep != length:
             built.set_timestep(length)
+            self._sliding.set_timestep(length)
             for body, system in self.systems.items():
                 built.set_gains(built.slots[body], system)
         return steps
@@ -208,12 +212,13 @@ class MujocoWorld:
         pushed = bool(self._pending) and substeps > 0
         if pushed:
             mujoco_state.begin_pending(built, self._pending, self.timestep / length)
+        keep_closed = self._sliding.keep_closed
         start = time.perf_counter()
         # A world that breaks goes through NaN, which its owner will see.
         with np.errstate(all="ignore"):
             for _ in range(steps):
                 mj.mj_step1(built.model, built.data)
-                keep_sliding_contacts_closed(built.data, length)
+                keep_closed()
                 mj.mj_step2(built.model, built.data)
                 if pushed:
                     pushed, self._pending = False, Pending()
