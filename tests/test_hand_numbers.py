@@ -21,6 +21,7 @@ OTHER_THINGS = {
     "dgrasp/objects/names.py": "DexYCB's numbers of objects",
     "dgrasp/objects/catalogue.py": "DexYCB's numbers of objects",
     "dgrasp/objects/add/parts.py": "hexadecimal digits of a hash",
+    "dgrasp/config/experiment.py": "bits of a seed",
     "dgrasp/geometry/solids.py": "corners of a circle",
     "dgrasp/report/charts.py": "pixels",
 }

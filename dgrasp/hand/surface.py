@@ -126,9 +126,9 @@ def _skin_parts(hand: HandModel) -> list[Body] | None:
 
 
 def mano_of_hand(file: Path, offsets: Array, hand_id: str, meta: dict[str, Any]) -> tuple[ManoModel, Array, Array]:
-    """MANO's model of a hand, of its side, with its betas (S',) and joints (16, 3) m, order of `skeleton.PARTS`.
+    """MANO's model of a hand, of its side, with its betas (S',) and joints, m, order of `skeleton.PARTS`.
 
-    offsets (16, 3): the hand's own, m. meta: side and betas, as in `hand_surface`. Raises `DataError` where the file is
+    offsets: the hand's own, m. meta: side and betas, as in `hand_surface`. Raises `DataError` where the file is
     no MANO hand, or another hand than this one.
     """
     model, betas, joints = _shaped(read_mano(file), meta)
@@ -140,7 +140,7 @@ def mano_of_hand(file: Path, offsets: Array, hand_id: str, meta: dict[str, Any])
 
 
 def _shaped(model: ManoModel, meta: dict[str, Any]) -> tuple[ManoModel, Array, Array]:
-    """The model of the hand's side, with the hand's betas (S',) and joints (16, 3) m."""
+    """The model of the hand's side, with the hand's betas (S',) and joints, m."""
     if meta.get("side", "right") != model.side:
         model = mirror_mano(model)
     betas = np.array(meta.get("betas", []), dtype=float)

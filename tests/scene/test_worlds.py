@@ -11,7 +11,7 @@ from dgrasp.scene.scene import LOWERED_TOP, OBJECT, TABLE, TABLE_SIZE, TABLE_TOP
 from dgrasp.scene.state import state_views
 from dgrasp.scene.worlds import Worlds
 from dgrasp.types import Array
-from tests.scenes import make_spec
+from tests.scenes import LAYOUT, make_spec
 
 KP = 500.0
 
@@ -19,7 +19,7 @@ KP = 500.0
 @pytest.fixture
 def worlds(engine: str) -> Iterator[Worlds]:
     spec = make_spec(2, [f"engine={engine}", "physics.substeps=2"])
-    made = Worlds(spec.labels, spec.hand, spec.objects, spec.config, state_views(2))
+    made = Worlds(spec.labels, spec.hand, spec.objects, spec.config, state_views(2, LAYOUT))
     for i, label in enumerate(spec.labels):
         assert label.start is not None
         made.place(i, label.start, TABLE_TOP, KP, carries=False)
