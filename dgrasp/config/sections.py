@@ -13,6 +13,7 @@ Count = Annotated[int, Field(ge=1, le=10**9)]
 MAX_STEPS = 10_000
 """Control steps, five minutes, beyond which no episode or window goes: all of them are kept in memory."""
 Steps = Annotated[int, Field(ge=1, le=MAX_STEPS)]
+WristError = Literal["euler", "rotation_vector"]
 
 
 class Section(BaseModel):
@@ -139,6 +140,8 @@ class EnvConfig(Section):
     policy of everything ("flat"): the paper's baselines "learned policy" and "Flat-RL" (docs/motion.md).
     lengthens_by: by so many control steps an episode of training lengthens after every `labels.doubles_every` epochs,
     if that is not null.
+    wrist_error: how pose error and pose reward measure the wrist: by the difference of Euler angles, as in the paper,
+    or by a rotation vector, which does not jump where an angle passes pi (docs/training.md).
     scaled_features: bring every feature to order 1 and clamp it. critic_features: the critic also sees how far
     the episode is and whether the table is gone; the actor does not.
     """
@@ -149,6 +152,7 @@ class EnvConfig(Section):
     grasp_steps: Steps = 60
     features: Literal["phi", "full_state"] = "phi"
     goal_space: bool = True
+    wrist_error: WristError = "euler"
     scaled_features: bool = False
     critic_features: bool = False
     wrist: Literal["guidance", "residual"] = "guidance"
@@ -158,7 +162,7 @@ class EnvConfig(Section):
     reward: RewardConfig = RewardConfig()
 
 
-SENSES = ("features", "goal_space", "scaled_features", "wrist", "action")
+SENSES = ("features", "goal_space", "wrist_error", "scaled_features", "wrist", "action")
 """The keys of `env` that a policy's input and output depend on."""
 
 

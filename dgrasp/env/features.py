@@ -194,6 +194,8 @@ def features_page() -> str:
         "With `env.scaled_features=true` a block is multiplied by its scale (wrist and the rest apart, where there are",
         f"two) and clamped to +-{SCALED_RANGE:g}. With `env.critic_features=true` the critic's observation ends with",
         f"{', '.join(f'*{feature.name}*' for feature in CRITIC)}, which the actor does not see.",
+        "The wrist's part of *pose_error* is a difference of Euler angles, or with",
+        "`env.wrist_error=rotation_vector` a rotation vector in the same frame.",
         "With `env.task=flat` the numbers of `env.features` are followed by those of `env.task=motion`.",
     ]
     choices = [("features", name) for name in FEATURE_LAYERS] + [("task", "motion")]

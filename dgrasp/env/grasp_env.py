@@ -267,11 +267,11 @@ class GraspEnv:
     def _observe(self, rows: Array | slice) -> Seen:
         """Write the observations of some environments; what they were made of."""
         if isinstance(rows, slice):
-            seen = Seen(rows, self.s, self.goal, relations(self.s, self.goal))
+            seen = Seen(rows, self.s, self.goal, relations(self.s, self.goal, self.config.env.wrist_error))
             self.layer(self.s, self.goal, seen.relations, self.o.observation)
             return seen
         state, goal = take(self.s, rows), take(self.goal, rows)
-        seen = Seen(rows, state, goal, relations(state, goal))
+        seen = Seen(rows, state, goal, relations(state, goal, self.config.env.wrist_error))
         out = np.empty((len(rows), self.layer.size), np.float32)
         self.layer(state, goal, seen.relations, out)
         self.o.observation[rows] = out

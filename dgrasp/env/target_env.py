@@ -86,7 +86,7 @@ class MotionEnv(TargetEnv):
         assert self.grasp is not None
         rows = np.flatnonzero(self.alive & self.active)
         phi = np.zeros((self.num_envs, self._grasp_layer.size), np.float32)
-        self._grasp_layer(self.s, self.goal, relations(self.s, self.goal), phi)
+        self._grasp_layer(self.s, self.goal, relations(self.s, self.goal, self.config.env.wrist_error), phi)
         n_dof = self.hand.layout.n_dof
         means, actions = np.zeros((len(rows), n_dof), np.float32), np.zeros((self.num_envs, n_dof), np.float32)
         self.grasp.means(phi[rows], means)

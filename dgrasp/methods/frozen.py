@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from dgrasp.config.experiment import Config
+from dgrasp.config.experiment import Config, make_config
 from dgrasp.config.sections import SENSES, EnvConfig
 from dgrasp.env.features import FeatureLayer
 from dgrasp.errors import ConfigError
@@ -64,10 +64,11 @@ def grasping_policy(config: Config, hand: HandLayout | None = None) -> Policy:
 
 
 def _check_env(saved: SavedPolicy, env: EnvConfig, path: Path) -> None:
-    # The authors' policies were trained with what the defaults are.
-    there = saved.env or EnvConfig().model_dump(mode="json")
+    # Keys that a policy's own config lacks are younger than it is: their defaults are what it was trained with. The
+    # authors' policies, which have no config, were trained with the defaults too.
+    there = make_config({"env": saved.env}, str(path)).env.model_dump(mode="json")
     here = env.model_dump(mode="json")
-    differ = [key for key in SENSES if key in there and there[key] != here[key]]
+    differ = [key for key in SENSES if there[key] != here[key]]
     if differ:
         listed = "; ".join(f"env.{key} is {there[key]!r} there, {here[key]!r} here" for key in differ)
         raise ConfigError(f"motion.policy: {path} was trained with another config ({listed}); set these keys as there")

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from dgrasp.config.sections import WristError
 from dgrasp.hand.layout import N_WRIST
 from dgrasp.types import Array, GraspGoal, SceneState
 from raisim_like.rotations import euler_from_matrix, matrix_from_euler, rotate, rotation_vector
@@ -16,21 +17,30 @@ class Relations:
     """What features and rewards share about N states, computed once per control step.
 
     joint_position_error_H: (N, K, 3), goal minus current key points, in the wrist frame (g_x).
-    pose_error: (N, 3 + J), wrist Euler angles in the object frame, then finger angles; goal minus current (g_q).
+    pose_error: (N, 3 + J), the wrist's rotation error in the object frame, then finger angles; goal minus current
+        (g_q).
     """
 
     joint_position_error_H: Array
     pose_error: Array
 
 
-def relations(state: SceneState, goal: GraspGoal) -> Relations:
-    """g_x and g_q (supplement, A.1)."""
+def relations(state: SceneState, goal: GraspGoal, wrist_error: WristError = "euler") -> Relations:
+    """g_x and g_q (supplement, A.1).
+
+    wrist_error: how g_q measures the wrist. "euler" is the difference of intrinsic XYZ Euler angles, as in the paper;
+    it jumps by up to 2 pi where an angle passes pi. "rotation_vector" is the rotation from the current to the goal
+    orientation, axis times angle in the object frame; its length is the angle between them, at most pi.
+    """
     n = len(state.gc)
     target_W = state.object_pos_W[:, None] + np.matmul(goal.joints_O, np.swapaxes(state.R_WO, 1, 2))
     error_H = np.matmul(target_W - state.joints_W, state.R_WH)
     pose = np.empty((n, 3 + goal.hand_pose.shape[1]))
     R_OH = np.matmul(np.swapaxes(state.R_WO, 1, 2), state.R_WH)
-    pose[:, :3] = goal.wrist_euler_O - euler_from_matrix(R_OH)
+    if wrist_error == "euler":
+        pose[:, :3] = goal.wrist_euler_O - euler_from_matrix(R_OH)
+    else:
+        pose[:, :3] = rotation_vector(np.matmul(goal.R_OH, np.swapaxes(R_OH, 1, 2)))
     pose[:, 3:] = goal.hand_pose - state.gc[:, N_WRIST:]
     return Relations(error_H, pose)
 

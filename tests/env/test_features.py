@@ -12,7 +12,7 @@ from dgrasp.env.features import FEATURE_LAYERS, PHI, FeatureLayer, features_page
 from dgrasp.env.goal import make_goal
 from dgrasp.scene.relations import goal_wrist_position_W, relations
 from dgrasp.types import Array
-from raisim_like.rotations import euler_from_matrix, transform
+from raisim_like.rotations import euler_from_matrix, matrix_from_euler, matrix_from_rotation_vector, transform
 from tests.env.build import (
     copy_state,
     goals,
@@ -234,3 +234,31 @@ def test_the_critic_s_features_come_last_and_are_not_the_actor_s() -> None:
     out = np.zeros((2, layer.size), np.float32)
     layer(state, goal, relations(state, goal), out)
     assert out[:, 279:].tolist() == [[0.0, 0.25], [1.0, 0.75]]
+
+
+def test_the_wrists_error_as_a_rotation_vector_does_not_jump() -> None:
+    """One degree to either side of half a turn about x is two degrees apart, whatever the Euler angles say."""
+    labels = random_labels(1)
+    goal, state = make_goal(labels), state_at(labels)
+    degree = np.radians(1.0)
+    for name, value in (("R_OH", np.pi - degree), ("R_WH", np.pi + degree)):
+        target = goal if name == "R_OH" else state
+        getattr(target, name)[0] = matrix_from_euler(np.array([value, 0.0, 0.0]))
+    state.R_WO[0] = np.eye(3)
+    goal.wrist_euler_O[0] = euler_from_matrix(goal.R_OH[0])
+    assert np.abs(relations(state, goal).pose_error[0, :3]).max() > 6.0
+    error = relations(state, goal, "rotation_vector").pose_error[0, :3]
+    assert error == pytest.approx([-2.0 * degree, 0.0, 0.0], abs=1e-9)
+
+
+def test_the_rotation_vector_leads_to_the_goal_and_does_not_depend_on_the_scenes_place() -> None:
+    labels, state = random_labels(6), random_state(6)
+    goal = make_goal(labels)
+    error = relations(state, goal, "rotation_vector").pose_error
+    R_OH = np.matmul(np.swapaxes(state.R_WO, 1, 2), state.R_WH)
+    assert matrix_from_rotation_vector(error[:, :3]) @ R_OH == pytest.approx(goal.R_OH, abs=1e-9)
+    moved = relations(moved_state(state, yaw_and_shift(1.1, 0.7, -2.3)), goal, "rotation_vector").pose_error
+    assert moved == pytest.approx(error, abs=1e-9)
+    assert np.array_equal(error[:, 3:], relations(state, goal).pose_error[:, 3:])
+    # What policies were trained with before there was a choice.
+    assert EnvConfig().wrist_error == "euler"
