@@ -22,7 +22,8 @@ from dgrasp.errors import ConfigError
 from dgrasp.pool import PoolSpec, make_pool
 from dgrasp.pool.serial import SerialPool
 from dgrasp.types import Array, SceneState
-from dgrasp.view.frames import render_state
+from dgrasp.view.frames import state_picture
+from dgrasp.view.meshes import DisplayMeshes, scene_meshes
 
 ENV_ID = "dgrasp/Grasp-v0"
 OBSERVATION_BOUND = 1e4
@@ -88,6 +89,7 @@ class GraspGymEnv(gymnasium.Env[Array, Array]):
         self._pool.env.restarts = False
         self.observation_space, self.action_space = _spaces(self._pool.observation_size, self._pool.action_size)
         self._episode = 0
+        self._meshes: DisplayMeshes | None = None
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Array, dict[str, Any]]:
         super().reset(seed=seed)
@@ -112,7 +114,9 @@ class GraspGymEnv(gymnasium.Env[Array, Array]):
     def render(self) -> Array | None:
         if self.render_mode is None:
             return None
-        return render_state(self._pool.state, 0, self._spec)
+        if self._meshes is None:
+            self._meshes = scene_meshes(self._spec.hand, self._spec.objects[self._spec.labels[0].object_id])
+        return state_picture(self._pool.state, 0, self._spec, self._meshes)
 
     def close(self) -> None:
         self._pool.close()

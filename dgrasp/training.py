@@ -30,7 +30,8 @@ from dgrasp.rl.run.log import write_description
 from dgrasp.rl.run.record import read_run
 from dgrasp.rl.runner import Runner
 from dgrasp.types import EpisodeRecord
-from dgrasp.view.frames import gif_bytes, render_record
+from dgrasp.view.frames import gif_bytes, record_pictures
+from dgrasp.view.meshes import scene_meshes
 
 
 def begin(config: Config, run_dir: Path | None = None) -> Path:
@@ -204,5 +205,6 @@ def _gif(records: Sequence[EpisodeRecord], count: int, spec: PoolSpec) -> dict[s
     if not config.eval.gif or not shown:
         return {}
     record = shown[count * 7 % len(shown)]
-    frames = render_record(record, spec.hand, spec.objects[record.label.object_id], config.engine, every=6)
+    meshes = scene_meshes(spec.hand, spec.objects[record.label.object_id])
+    frames = list(record_pictures(record, meshes, every=6, size=(320, 240)))
     return {"gif": gif_bytes(frames, 6 * config.control_period)}

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -165,10 +164,6 @@ class ArticulatedSystem:
     def potential_energy(self) -> float:
         """J in the world's gravity, zero at the world's origin."""
         return -float(self._world.gravity @ (self._masses @ self._centers(*self._link_poses())))
-
-    def set_color(self, rgba: Sequence[float]) -> None:
-        """Colour in pictures; red, green, blue and opacity from 0 to 1."""
-        self._world.engine_world.set_color(self.id, rgba)
 
     def contacts(self) -> list[Contact]:
         """Contact points of the last step."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any, Protocol
 
 import numpy as np
@@ -124,10 +123,6 @@ class RigidBody:
     def _inertia_W(self) -> Array:
         R = self.rotation
         return R @ self._inertia @ R.T
-
-    def set_color(self, rgba: Sequence[float]) -> None:
-        """Colour in pictures; red, green, blue and opacity from 0 to 1."""
-        self._world.engine_world.set_color(self.id, rgba)
 
     def contacts(self) -> list[Contact]:
         """Contact points of the last step."""

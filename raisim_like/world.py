@@ -195,10 +195,6 @@ class World:
         """Advance by a number of timesteps."""
         integrate([self], substeps)
 
-    def render(self, eye: Any, target: Any, width: int, height: int) -> Array:
-        """(height, width, 3) uint8: a picture from `eye` (3,) towards `target` (3,), m. No display is needed."""
-        return self.engine_world.render(np.asarray(eye), np.asarray(target), width, height)
-
 
 def integrate(worlds: Sequence[World], substeps: int = 1) -> None:
     """Advance several worlds of one engine together, which batches their control."""

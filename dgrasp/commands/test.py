@@ -19,7 +19,6 @@ from dgrasp.eval.agreement import find_agreement
 from dgrasp.eval.latex import write_latex
 from dgrasp.evaluation import evaluate_choice, evaluate_motion
 from dgrasp.export.collect import display_meshes, sequences
-from dgrasp.export.film import record_pictures
 from dgrasp.export.sequence import check_folder, write_folder
 from dgrasp.files.atomic import write_atomic
 from dgrasp.files.outputs import check_outputs
@@ -28,7 +27,7 @@ from dgrasp.report.page import write_report
 from dgrasp.request import Asked, make_request
 from dgrasp.tables.plan import NAMES
 from dgrasp.types import EpisodeRecord
-from dgrasp.view.frames import gif_bytes, tile
+from dgrasp.view.frames import gif_bytes, record_pictures, tile
 from dgrasp.view.meshes import DisplayMeshes
 from raisim_like.registry import BATCHES
 

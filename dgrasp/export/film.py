@@ -1,4 +1,4 @@
-"""A sequence as moving pictures, drawn by the physics engine's software renderer: GIF, or mp4 with imageio-ffmpeg."""
+"""A sequence as moving pictures: GIF, or mp4 with imageio-ffmpeg."""
 
 from __future__ import annotations
 
@@ -11,18 +11,9 @@ import numpy as np
 
 from dgrasp.errors import ConfigError, DataError
 from dgrasp.export.sequence import StoredSequence
-from dgrasp.geometry.part_mesh import PartMesh
-from dgrasp.hand.build.build import write_obj
-from dgrasp.scene.scene import LOWERED_TOP, TABLE_SIZE, TABLE_TOP, TABLE_XY
-from dgrasp.types import Array, EpisodeRecord
-from dgrasp.view.camera import eye, viewpoint
-from dgrasp.view.frames import HAND_COLOR, OBJECT_COLOR, TABLE_COLOR, gif_bytes
-from dgrasp.view.meshes import DisplayMeshes, body_poses, table_tops
-from raisim_like.shapes import Shape
-from raisim_like.world import World
+from dgrasp.types import Array
+from dgrasp.view.frames import SIZE, gif_bytes, record_pictures
 
-SIZE = (640, 480)
-"""Pixels; even numbers, as mp4 wants them."""
 GIF_EVERY = 2
 """A GIF shows every second control step: its frames last at least 20 ms."""
 
@@ -30,37 +21,7 @@ GIF_EVERY = 2
 def pictures(sequence: StoredSequence, every: int = 1, size: tuple[int, int] = SIZE) -> Iterator[Array]:
     """Frames (height, width, 3) uint8, one for every `every` control steps."""
     table = sequence.about["table"]
-    yield from record_pictures(sequence.record, sequence.meshes, (table["top_m"], table["lowered_m"]), every, size)
-
-
-def record_pictures(
-    record: EpisodeRecord, meshes: DisplayMeshes, table_m: tuple[float, float] = (TABLE_TOP, LOWERED_TOP),
-    every: int = 1, size: tuple[int, int] = SIZE,
-) -> Iterator[Array]:  # fmt: skip
-    """The same of a record. table_m: heights of the table's top, and of it once it is taken away."""
-    q, t = body_poses(meshes, record)
-    tops = table_tops(record, *table_m)
-    target, yaw = viewpoint(record)
-    world = World("pybullet")
-    try:
-        with tempfile.TemporaryDirectory() as folder:
-            bodies = {}
-            for body, name in enumerate(meshes.bodies):
-                shape = meshes.object if name == "object" else meshes.hand[body]
-                if len(shape.faces):
-                    file = Path(folder) / f"{name}.obj"
-                    write_obj(file, PartMesh(name, shape.vertices, shape.faces))
-                    bodies[body] = world.add_body([Shape("mesh", file=file)], 0.0, np.eye(3))
-                    bodies[body].set_color(OBJECT_COLOR if name == "object" else HAND_COLOR)
-        table = world.add_body([Shape("box", TABLE_SIZE)], 0.0, np.eye(3))
-        table.set_color(TABLE_COLOR)
-        for step in range(0, len(t), every):
-            for body, solid in bodies.items():
-                solid.set_state(t[step, body], q[step, body])
-            table.set_state((*TABLE_XY, tops[step] - TABLE_SIZE[2] / 2))
-            yield world.render(eye(target, yaw), target, *size).copy()
-    finally:
-        world.close()
+    return record_pictures(sequence.record, sequence.meshes, (table["top_m"], table["lowered_m"]), every, size)
 
 
 def gif(sequence: StoredSequence) -> bytes:

@@ -52,8 +52,6 @@ const Replays = (() => {
     return { hand: data.hand.map(geometry), objects, replays, table: data.table };
   }
 
-  const OBJECT = 16, TARGET = 17;
-
   // The pose of a body at a frame, between two recorded ones too: a 4 x 4 matrix by columns.
   function pose(r, body, frame) {
     const i = Math.max(0, Math.min(r.n - 1, Math.floor(frame))), j = Math.min(r.n - 1, i + 1);
@@ -202,7 +200,7 @@ const Replays = (() => {
       gl.uniformMatrix4fv(at.view, false, matrix);
       gl.uniform3fv(at.eye, eye);
       gl.uniform3fv(at.middle, r.target);
-      const bodies = [...scene.hand, scene.objects[r.object]];
+      const bodies = [...scene.hand, scene.objects[r.object]], object = scene.hand.length;
       const poses = bodies.map((_, body) => pose(r, body, frame));
       gl.enable(gl.BLEND);
       gl.disable(gl.DEPTH_TEST);
@@ -223,16 +221,16 @@ const Replays = (() => {
       gl.uniform1i(at.kind, 0);
       const touching = r.c[Math.max(0, Math.min(r.n - 1, Math.round(frame)))];
       bodies.forEach((g, body) => {
-        const kind = body === OBJECT ? "object" : (touching >> body) & 1 ? "contact" : "hand";
+        const kind = body === object ? "object" : (touching >> body) & 1 ? "contact" : "hand";
         gl.uniform4fv(at.color, colors[kind]);
         mesh(g, poses[body]);
       });
-      if (r.bodies > TARGET) {
+      if (r.bodies > object + 1) {
         gl.enable(gl.BLEND);
         gl.depthMask(false);
         gl.uniform1i(at.kind, 1);
         gl.uniform4fv(at.color, [...colors.object.slice(0, 3), 0.22]);
-        mesh(bodies[OBJECT], pose(r, TARGET, frame));
+        mesh(bodies[object], pose(r, object + 1, frame));
         gl.depthMask(true);
       }
       const flatCanvas = onto.getContext("2d");

@@ -3,92 +3,67 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from PIL import Image
 
-from dgrasp.config.sections import PhysicsConfig
-from dgrasp.hand.model import HandModel
-from dgrasp.objects.model import ObjectModel
+from dgrasp.geometry.raster import Camera, Floor, draw, shaded
 from dgrasp.pool.base import PoolSpec
-from dgrasp.scene.scene import LOWERED_TOP, TABLE_TOP, scene_spec, table_state
+from dgrasp.scene.scene import LOWERED_TOP, TABLE_SIZE, TABLE_TOP, TABLE_XY
 from dgrasp.types import Array, EpisodeRecord, SceneState
-from raisim_like.articulated_system import ArticulatedSystem
-from raisim_like.rigid_body import RigidBody
-from raisim_like.rotations import matrix_from_euler, quaternion_from_matrix, transform
-from raisim_like.shapes import Shape
-from raisim_like.world import World
+from dgrasp.view.camera import eye, viewpoint
+from dgrasp.view.meshes import DisplayMeshes, body_poses, table_tops
+from raisim_like.rotations import matrix_from_quaternion, transform
 
-HAND_COLOR = (0.92, 0.76, 0.62, 1.0)
-OBJECT_COLOR = (0.25, 0.47, 0.75, 1.0)
-TABLE_COLOR = (0.86, 0.84, 0.80, 1.0)
+SIZE = (640, 480)
+"""Pixels; even numbers, as mp4 wants them."""
+HAND_COLOR = (0.92, 0.76, 0.62)
+OBJECT_COLOR = (0.25, 0.47, 0.75)
+TABLE_COLOR = np.array([0.87, 0.855, 0.83])
 
 
 class Stage:
-    """A hand, an object and a table that are placed and drawn, never simulated."""
+    """A hand and an object over a table."""
 
-    def __init__(self, hand: HandModel, model: ObjectModel, engine: str) -> None:
-        self._world = World.from_spec(scene_spec(hand, model, PhysicsConfig()), engine)
-        system, thing, table = self._world.objects
-        assert isinstance(system, ArticulatedSystem) and isinstance(thing, RigidBody) and isinstance(table, RigidBody)
-        self._hand, self._object, self._table = system, thing, table
-        for item, color in ((system, HAND_COLOR), (thing, OBJECT_COLOR), (table, TABLE_COLOR)):
-            item.set_color(color)
+    def __init__(self, meshes: DisplayMeshes) -> None:
+        self._bodies = [shaded(*mesh, HAND_COLOR) for mesh in meshes.hand] + [shaded(*meshes.object, OBJECT_COLOR)]
 
-    def close(self) -> None:
-        """Free the world."""
-        self._world.close()
-
-    def place(self, T_WH0: Array, gc: Array, T_WO: Array, table_top: float) -> None:
-        """Put the hand's base (4, 4) and coordinates (dof,), the object (4, 4) and the table's top (m, world)."""
-        self._hand.set_base_pose(T_WH0[:3, 3], quaternion_from_matrix(T_WH0[:3, :3]))
-        self._hand.set_state(gc)
-        self._object.set_state(T_WO[:3, 3], quaternion_from_matrix(T_WO[:3, :3]))
-        self._table.set_state(table_state(table_top)[:3])
-
-    def picture(self, eye: Array, target: Array, size: tuple[int, int]) -> Array:
-        """(height, width, 3) uint8 from `eye` (3,) towards `target` (3,), m, world; size: (width, height)."""
-        return self._world.render(eye, target, *size).copy()
+    def picture(self, R: Array, t: Array, table_top: float | None, camera: Camera) -> Array:
+        """(height, width, 3) uint8. R (B, 3, 3), t (B, 3) m: the bodies in the world. table_top: m; None for none."""
+        bodies = [body.placed(R[i], t[i]) for i, body in enumerate(self._bodies) if len(body.faces)]
+        return draw(bodies, camera, None if table_top is None else table(table_top))
 
 
-def render_record(
-    record: EpisodeRecord,
-    hand: HandModel,
-    model: ObjectModel,
-    engine: str,
-    every: int = 4,
-    size: tuple[int, int] = (320, 240),
-) -> list[Array]:
-    """Frames (height, width, 3) uint8 of an episode, one for every `every` control steps."""
-    if model.mesh is not None:
-        # Nothing is simulated here, and PyBullet, which draws for every engine, takes the object's mesh as it is.
-        model, engine = replace(model, shapes=(Shape("mesh", file=model.mesh),)), "pybullet"
-    stage = Stage(hand, model, engine)
-    try:
-        frames = []
-        first = record.T_WO[0, :3, 3]
-        target = np.array([first[0], first[1], first[2] + 0.03])
-        eye = target + np.array([0.45, -0.38, 0.28])
-        for t in range(0, len(record.gc), every):
-            gc = record.gc[t]
-            # The hand's base is found from the wrist: T_WH = T_WH0 * (translation, Euler angles of gc).
-            R_WH0 = record.T_WH[t, :3, :3] @ matrix_from_euler(gc[3:6]).T
-            origin = record.T_WH[t, :3, 3] - R_WH0 @ gc[:3]
-            top = TABLE_TOP if record.table_stays or t < record.window_start else LOWERED_TOP
-            stage.place(transform(R_WH0, origin), gc, record.T_WO[t], top)
-            frames.append(stage.picture(eye, target, size))
-        return frames
-    finally:
-        stage.close()
+def table(top: float) -> Floor:
+    """The table with its top at a height, m, world."""
+    half = np.array(TABLE_SIZE[:2]) / 2.0
+    return Floor(np.stack([TABLE_XY - half, TABLE_XY + half]), top, TABLE_COLOR)
 
 
-def render_state(state: SceneState, row: int, spec: PoolSpec, size: tuple[int, int] = (320, 240)) -> Array:
+def record_pictures(
+    record: EpisodeRecord, meshes: DisplayMeshes, table_m: tuple[float, float] = (TABLE_TOP, LOWERED_TOP),
+    every: int = 1, size: tuple[int, int] = SIZE,
+) -> Iterator[Array]:  # fmt: skip
+    """Frames (height, width, 3) uint8 of an episode, one for every `every` control steps.
+
+    table_m: heights of the table's top, and of it once it is taken away.
+    """
+    q, t = body_poses(meshes, record)
+    R = matrix_from_quaternion(q)
+    tops = table_tops(record, *table_m)
+    target, yaw = viewpoint(record)
+    camera, stage = Camera(eye(target, yaw), target, size), Stage(meshes)
+    for step in range(0, len(t), every):
+        yield stage.picture(R[step], t[step], tops[step], camera)
+
+
+def state_picture(
+    state: SceneState, row: int, spec: PoolSpec, meshes: DisplayMeshes, size: tuple[int, int] = (320, 240)
+) -> Array:
     """One picture (height, width, 3) uint8 of the current state of an environment."""
-    label = spec.labels[row]
     record = EpisodeRecord(
-        label=label,
+        label=spec.labels[row],
         gc=state.gc[row : row + 1],
         T_WH=transform(state.R_WH[row], state.joints_W[row, 0])[None],
         joints_W=state.joints_W[row : row + 1],
@@ -100,7 +75,7 @@ def render_state(state: SceneState, row: int, spec: PoolSpec, size: tuple[int, i
         window_start=1,
         dt=spec.config.control_period,
     )
-    return render_record(record, spec.hand, spec.objects[label.object_id], spec.config.engine, size=size)[0]
+    return next(record_pictures(record, meshes, size=size))
 
 
 def gif_bytes(frames: Sequence[Array], frame_s: float) -> bytes:

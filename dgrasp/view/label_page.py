@@ -10,16 +10,17 @@ from collections.abc import Iterable, Mapping, Sequence
 import numpy as np
 from PIL import Image
 
+from dgrasp.geometry.raster import Camera
 from dgrasp.hand.model import HandModel
 from dgrasp.labels.quality.measure import Finding
 from dgrasp.objects.model import ObjectModel
 from dgrasp.scene.scene import TABLE_TOP
 from dgrasp.types import Array, GraspLabel
 from dgrasp.view.frames import Stage
+from dgrasp.view.meshes import scene_meshes
 
 SIZE = (280, 210)
 _EYE = np.array([0.36, -0.32, 0.26])
-_NO_TABLE = -10.0
 _STYLE = """
 body { font: 14px/1.4 system-ui, sans-serif; margin: 2em; color: #222; }
 .labels { display: grid; grid-template-columns: repeat(auto-fill, minmax(280px, 1fr)); gap: 1em; }
@@ -36,17 +37,13 @@ def label_pictures(
     """Pictures (height, width, 3) uint8 of the grasps, by the labels' places; one stage per object draws them all."""
     pictures: dict[int, Array] = {}
     for name in dict.fromkeys(label.object_id for label in labels):
-        stage = Stage(hand, objects[name], "pybullet")
-        try:
-            for i, label in enumerate(labels):
-                if label.object_id == name:
-                    top = TABLE_TOP if label.on_table else _NO_TABLE
-                    gc = np.zeros(hand.urdf.dof)
-                    gc[-len(label.hand_pose) :] = label.hand_pose
-                    stage.place(label.T_WH, gc, label.T_WO, top)
-                    pictures[i] = stage.picture(label.T_WO[:3, 3] + _EYE, label.T_WO[:3, 3], SIZE)
-        finally:
-            stage.close()
+        stage = Stage(scene_meshes(hand, objects[name]))
+        for i, label in enumerate(labels):
+            if label.object_id == name:
+                R, t = hand.part_poses(label.T_WH[None], label.hand_pose[None])
+                R, t = np.concatenate([R[0], label.T_WO[None, :3, :3]]), np.concatenate([t[0], label.T_WO[None, :3, 3]])
+                camera = Camera(label.T_WO[:3, 3] + _EYE, label.T_WO[:3, 3], SIZE)
+                pictures[i] = stage.picture(R, t, TABLE_TOP if label.on_table else None, camera)
     return pictures
 
 

@@ -7,13 +7,16 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dgrasp.geometry.intersection import Body, join
+from dgrasp.geometry.intersection import Body, body, join
+from dgrasp.geometry.shape_mesh import shape_mesh
 from dgrasp.hand.kinematics import Kinematics
 from dgrasp.hand.layout import N_WRIST
 from dgrasp.hand.model import HandModel
 from dgrasp.hand.surface import rigid_surface
+from dgrasp.objects.model import ObjectModel
 from dgrasp.types import Array, EpisodeRecord
 from raisim_like.rotations import quaternion_from_matrix
+from raisim_like.shapes import Shape
 
 PART_FACES, OBJECT_FACES = 320, 2500
 """Most triangles of a hand part and of an object."""
@@ -44,6 +47,13 @@ class DisplayMeshes:
         return (*self.parts, "object")
 
 
+def scene_meshes(hand: HandModel, model: ObjectModel) -> DisplayMeshes:
+    """Light meshes of a hand and an object: of its surface where a file of it is at hand, else of its shapes."""
+    shapes = model.shapes if model.mesh is None else (Shape("mesh", file=model.mesh),)
+    surface = light(body([shape_mesh(shape) for shape in shapes]), OBJECT_FACES)
+    return DisplayMeshes(hand.chain, hand.layout.names.parts, hand_meshes(hand), surface)
+
+
 def hand_meshes(hand: HandModel) -> tuple[Mesh, ...]:
     """The parts' meshes, of at most `PART_FACES` triangles each."""
     surface = rigid_surface(hand)
@@ -52,17 +62,17 @@ def hand_meshes(hand: HandModel) -> tuple[Mesh, ...]:
     return tuple(light(join(bodies), PART_FACES) if bodies else none for bodies in parts)
 
 
-def light(body: Body, limit: int) -> Mesh:
+def light(solid: Body, limit: int) -> Mesh:
     """The surface of a body with at most about `limit` triangles.
 
     A solid is simplified within a tolerance, the smallest of 0.1 mm times a power of 2 that is enough; where that fails
     or the body is no solid, vertices are merged in cubes.
     """
-    mesh = Mesh(*body.surface())
+    mesh = Mesh(*solid.surface())
     size = float(np.ptp(mesh.vertices, axis=0).max())
     tolerance = 1e-4
-    while body.solid is not None and len(mesh.faces) > limit and tolerance < 0.05 * size:
-        triangles = body.solid.simplify(tolerance).to_mesh64()
+    while solid.solid is not None and len(mesh.faces) > limit and tolerance < 0.05 * size:
+        triangles = solid.solid.simplify(tolerance).to_mesh64()
         if len(triangles.tri_verts):
             mesh = Mesh(np.asarray(triangles.vert_properties)[:, :3], np.asarray(triangles.tri_verts, dtype=np.int64))
         tolerance *= 2.0

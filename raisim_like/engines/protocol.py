@@ -121,12 +121,6 @@ class EngineWorld(Protocol):
         Raises `EngineError` when bodies have come or gone since.
         """
 
-    def render(self, eye: Array, target: Array, width: int, height: int) -> Array:
-        """(height, width, 3) uint8 picture, no display needed."""
-
-    def set_color(self, body: int, rgba: Sequence[float]) -> None:
-        """Colour in pictures."""
-
 
 class Engine(Protocol):
     """Makes worlds and integrates several of them together."""

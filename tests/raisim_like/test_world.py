@@ -191,14 +191,3 @@ def test_cylinders_roll_and_boxes_have_the_inertia_of_solids(engine: str) -> Non
     assert gained == pytest.approx(2 / 3 * 9.81 * np.sin(angle), rel=0.02)
     assert cylinder.angular_velocity[1] == pytest.approx(cylinder.linear_velocity[0] / 0.05, rel=0.02)
     world.close()
-
-
-def test_pictures_need_no_display(engine: str) -> None:
-    world = World(engine)
-    box = world.add_box(0.2, 0.2, 0.2, 1.0)
-    box.set_color((1.0, 0.0, 0.0, 1.0))
-    picture = world.render((1.0, 0.0, 0.5), (0.0, 0.0, 0.0), 64, 48)
-    assert picture.shape == (48, 64, 3) and picture.dtype == np.uint8
-    red, green, _ = (int(value) for value in picture[24, 32])
-    assert red > green + 30
-    world.close()

@@ -9,15 +9,16 @@ from pathlib import Path
 import numpy as np
 from PIL import Image, ImageDraw
 
+from dgrasp.geometry.raster import Camera, draw, shaded
+from dgrasp.geometry.shape_mesh import shape_mesh
 from dgrasp.types import Array
 from raisim_like.shapes import Shape
-from raisim_like.world import World
 
 SIZE = 320
 """Pixels along the edges of each of the four pictures."""
-_MESH_COLOR = (0.25, 0.47, 0.75, 1.0)
-_COLORS = ((0.86, 0.52, 0.24, 1.0), (0.93, 0.75, 0.35, 1.0), (0.73, 0.36, 0.27, 1.0), (0.80, 0.63, 0.52, 1.0),
-           (0.62, 0.47, 0.20, 1.0))  # fmt: skip
+_MESH_COLOR = (0.25, 0.47, 0.75)
+_COLORS = ((0.86, 0.52, 0.24), (0.93, 0.75, 0.35), (0.73, 0.36, 0.27), (0.80, 0.63, 0.52),
+           (0.62, 0.47, 0.20))  # fmt: skip
 _SIDES = ((1.0, -0.9, 0.7), (-0.5, -0.6, 1.2))
 
 
@@ -38,15 +39,10 @@ def picture(mesh: Path, shapes: Sequence[Shape], bounds: Array, titles: tuple[st
     return stream.getvalue()
 
 
-def _views(solids: Sequence[tuple[Shape, tuple[float, ...]]], bounds: Array) -> list[Array]:
+def _views(shapes: Sequence[tuple[Shape, tuple[float, ...]]], bounds: Array) -> list[Array]:
     """(SIZE, SIZE, 3) uint8 per side."""
-    world = World("pybullet", 1.0)
-    try:
-        for shape, color in solids:
-            world.add_body([shape], 0.0, np.eye(3)).set_color(color)
-        middle = bounds.mean(axis=0)
-        away = max(1.6 * float(np.linalg.norm(bounds[1] - bounds[0])), 0.05)
-        eyes = [middle + away * np.array(side) / np.linalg.norm(side) for side in _SIDES]
-        return [world.render(eye, middle, SIZE, SIZE).copy() for eye in eyes]
-    finally:
-        world.close()
+    solids = [shaded(*shape_mesh(shape), color) for shape, color in shapes]
+    middle = bounds.mean(axis=0)
+    away = max(1.6 * float(np.linalg.norm(bounds[1] - bounds[0])), 0.05)
+    eyes = [middle + away * np.array(side) / np.linalg.norm(side) for side in _SIDES]
+    return [draw(solids, Camera(eye, middle, (SIZE, SIZE))) for eye in eyes]

@@ -233,7 +233,7 @@ class BulletWorld:
             )
         p.performCollisionDetection(physicsClientId=self.client)
 
-    # Contacts and pictures ---------------------------------------------------------------------
+    # Contacts ---------------------------------------------------------------------------------
 
     def link_impulses(self, body: int, other: int, out: Array) -> None:
         link_impulses(self.client, body, other, self._impulse_per_force, out)
@@ -260,16 +260,3 @@ class BulletWorld:
         self.forget_contacts()
         snapshot.write_back(self.systems)
         self._pending = snapshot.pending.copy()
-
-    def render(self, eye: Array, target: Array, width: int, height: int) -> Array:
-        view = p.computeViewMatrix([float(v) for v in eye], [float(v) for v in target], [0, 0, 1])
-        projection = p.computeProjectionMatrixFOV(40.0, width / height, 0.02, 5.0)
-        image = p.getCameraImage(
-            width, height, view, projection, renderer=p.ER_TINY_RENDERER, lightDirection=[1, -1, 2],
-            physicsClientId=self.client,
-        )  # fmt: skip
-        return np.reshape(np.asarray(image[2], dtype=np.uint8), (height, width, 4))[..., :3]
-
-    def set_color(self, body: int, rgba: Sequence[float]) -> None:
-        for link in range(-1, p.getNumJoints(body, physicsClientId=self.client)):
-            p.changeVisualShape(body, link, rgbaColor=list(rgba), physicsClientId=self.client)

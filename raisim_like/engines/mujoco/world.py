@@ -17,7 +17,6 @@ from raisim_like.engines.mujoco import state as mujoco_state
 from raisim_like.engines.mujoco.contacts import SlidingContacts, contacts_of, pair_forces
 from raisim_like.engines.mujoco.model import BuiltModel, Drive, Item, Solid, System
 from raisim_like.engines.pending import Pending
-from raisim_like.engines.picture import Picture
 from raisim_like.engines.protocol import Array, EngineWorld, engine_steps
 from raisim_like.errors import EngineError
 from raisim_like.material import MaterialTable
@@ -53,12 +52,9 @@ class MujocoWorld:
         self._built: BuiltModel | None = None
         self._sliding: SlidingContacts
         self._stale = True
-        self._colors: dict[int, Sequence[float]] = {}
-        self._picture: Picture | None = None
         self._pending = Pending()
 
     def close(self) -> None:
-        self._drop_picture()
         self._built, self._stale = None, True
 
     def set_gravity(self, gravity: Array) -> None:
@@ -93,19 +89,15 @@ class MujocoWorld:
         return body
 
     def _new_id(self) -> int:
-        self._changed()
+        self._stale = True
         self._next_id += 1
         return self._next_id - 1
 
     def remove(self, body: int) -> None:
-        self._changed()
-        for items in (self.solids, self.systems, self._colors):
+        self._stale = True
+        for items in (self.solids, self.systems):
             items.pop(body, None)
         self._pending.forget(body)
-
-    def _changed(self) -> None:
-        self._stale = True
-        self._drop_picture()
 
     def apply_materials(self, table: MaterialTable) -> None:
         if table != self._materials:
@@ -250,7 +242,7 @@ class MujocoWorld:
         mj.mj_copyData(built.data, built.model, snapshot.data)
         self._pending = snapshot.pending.copy()
 
-    # Contacts and pictures ---------------------------------------------------------------------
+    # Contacts ---------------------------------------------------------------------------------
 
     def link_impulses(self, body: int, other: int, out: Array) -> None:
         out[:] = 0.0
@@ -262,27 +254,6 @@ class MujocoWorld:
 
     def contacts(self, body: int) -> list[Contact]:
         return contacts_of(self._ready(), body, self.timestep)
-
-    def _drop_picture(self) -> None:
-        if self._picture is not None:
-            self._picture.close()
-            self._picture = None
-
-    def render(self, eye: Array, target: Array, width: int, height: int) -> Array:
-        built = self._ready()
-        if self._picture is None:
-            solids = {body: solid.shapes for body, solid in self.solids.items()}
-            self._picture = Picture(solids, {body: s.urdf for body, s in self.systems.items()}, self._colors)
-        bases = {}
-        for body in self.systems:
-            mocap = built.slots[body].mocap
-            bases[body] = built.data.mocap_pos[mocap], built.data.mocap_quat[mocap]
-        return self._picture.render(self, bases, eye, target, width, height)
-
-    def set_color(self, body: int, rgba: Sequence[float]) -> None:
-        self._colors[body] = rgba
-        if self._picture is not None:
-            self._picture.set_color(body, rgba)
 
 
 class MujocoEngine:

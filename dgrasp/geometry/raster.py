@@ -1,0 +1,180 @@
+"""Draws triangles in software, in NumPy alone: pictures need no display, no GL and no physics engine."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from dgrasp.types import Array
+
+FIELD_OF_VIEW = np.deg2rad(40.0)
+"""rad, vertical."""
+SAMPLES = 2
+"""Per pixel and side. Their mean smooths the edges."""
+NEAR = 0.02
+"""m. Triangles that come closer to the camera are left out."""
+CREASE = np.cos(np.deg2rad(40.0))
+"""Faces that meet at a smaller angle are shaded as one curved surface."""
+LIGHT = np.array([0.32, -0.42, 0.85]) / np.linalg.norm([0.32, -0.42, 0.85])
+"""Towards the light, world."""
+BACKGROUND = np.array([0.955, 0.96, 0.965])
+SHADOW = 0.72
+"""How much of the floor's colour is left in the shadow."""
+
+
+class Shaded(NamedTuple):
+    """vertices (V, 3) m and normals (F, 3, 3) of the faces' corners, in one frame; faces (F, 3); color (3,)."""
+
+    vertices: Array
+    faces: Array
+    normals: Array
+    color: Array
+
+    def placed(self, R: Array, t: Array) -> Shaded:
+        """The same in the frame that R (3, 3) and t (3,), m, lead to."""
+        return self._replace(vertices=self.vertices @ R.T + t, normals=self.normals @ R.T)
+
+
+def shaded(vertices: Array, faces: Array, color: Sequence[float]) -> Shaded:
+    """Triangles that are shaded as curved surfaces where they meet without a crease."""
+    return Shaded(vertices, faces, _corner_normals(vertices, faces), np.array(color))
+
+
+class Floor(NamedTuple):
+    """A horizontal rectangle: its lowest and highest corner (2, 2), m, its height, m, and its color (3,)."""
+
+    corners: Array
+    height: float
+    color: Array
+
+
+class Camera:
+    """A pinhole camera at `eye` (3,) that looks towards `target` (3,), m, world. size: (width, height), pixels."""
+
+    def __init__(self, eye: Array, target: Array, size: tuple[int, int]) -> None:
+        self.eye = np.asarray(eye, dtype=float)
+        self.width, self.height = SAMPLES * size[0], SAMPLES * size[1]
+        ahead = target - self.eye
+        ahead = ahead / np.linalg.norm(ahead)
+        right = np.cross(ahead, [0.0, 0.0, 1.0])
+        right /= np.linalg.norm(right)
+        self.R = np.stack([right, -np.cross(right, ahead), ahead])
+        """Rows are the picture's x, its y (downwards) and the depth."""
+        self.focal = self.height / (2.0 * np.tan(FIELD_OF_VIEW / 2.0))
+
+    def project(self, points: Array) -> tuple[Array, Array]:
+        """Places (..., 2) in samples and inverse depths (...,) 1/m of points (..., 3) m, world."""
+        seen = (points - self.eye) @ self.R.T
+        nearness = 1.0 / np.maximum(seen[..., 2], 1e-6)
+        center = np.array([self.width, self.height]) / 2.0
+        return center + self.focal * seen[..., :2] * nearness[..., None], nearness
+
+    def rays(self) -> Array:
+        """(height, width, 3): directions of the samples, of depth 1 m."""
+        x = (np.arange(self.width) + 0.5 - self.width / 2.0) / self.focal
+        y = (np.arange(self.height) + 0.5 - self.height / 2.0) / self.focal
+        return x[None, :, None] * self.R[0] + y[:, None, None] * self.R[1] + self.R[2]
+
+
+def _corner_normals(vertices: Array, faces: Array) -> Array:
+    """(F, 3, 3) unit normals of the faces' corners: means over the faces that meet there without a crease."""
+    corners = vertices[faces]
+    areas = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    flat = areas / np.maximum(np.linalg.norm(areas, axis=1, keepdims=True), 1e-30)
+    order = np.argsort(faces.reshape(-1), kind="stable")
+    owner = faces.reshape(-1)[order]
+    first = np.searchsorted(owner, owner, side="left")
+    count = np.searchsorted(owner, owner, side="right") - first
+    corner = np.repeat(np.arange(len(order)), count)
+    other = np.arange(len(corner)) - np.repeat(np.cumsum(count) - count, count) + first[corner]
+    mine, theirs = order[corner] // 3, order[other] // 3
+    joined = (flat[mine] * flat[theirs]).sum(axis=1) >= CREASE
+    total = np.zeros((3 * len(faces), 3))
+    np.add.at(total, order[corner][joined], areas[theirs[joined]])
+    length = np.linalg.norm(total, axis=1, keepdims=True)
+    return np.where(length > 0.0, total / np.maximum(length, 1e-30), 0.0).reshape(-1, 3, 3)
+
+
+def draw(solids: Sequence[Shaded], camera: Camera, floor: Floor | None = None) -> Array:
+    """(height, width, 3) uint8: the solids, over the floor with their shadows on it."""
+    colors = np.broadcast_to(BACKGROUND, (camera.height * camera.width, 3)).copy()
+    nearness = np.zeros(len(colors))
+    if floor is not None:
+        _draw_floor(floor, solids, camera, colors, nearness)
+    for solid in solids:
+        _draw_solid(solid, camera, colors, nearness)
+    samples = colors.reshape(camera.height // SAMPLES, SAMPLES, camera.width // SAMPLES, SAMPLES, 3)
+    return np.asarray(np.rint(255.0 * samples.mean(axis=(1, 3)).clip(0.0, 1.0)), dtype=np.uint8)
+
+
+def _draw_floor(floor: Floor, solids: Sequence[Shaded], camera: Camera, colors: Array, nearness: Array) -> None:
+    rays = camera.rays().reshape(-1, 3)
+    below = camera.eye[2] - floor.height
+    with np.errstate(divide="ignore", invalid="ignore"):
+        depth = -below / rays[:, 2]
+        place = camera.eye[:2] + depth[:, None] * rays[:, :2]
+        (low, high) = floor.corners
+        seen = (depth > NEAR) & (place >= low).all(axis=1) & (place <= high).all(axis=1)
+    colors[seen], nearness[seen] = floor.color, 1.0 / depth[seen]
+    for solid in solids:
+        rise = np.maximum(solid.vertices[:, 2:] - floor.height, 0.0)
+        xy, near = camera.project(solid.vertices - rise * LIGHT / LIGHT[2])
+        _, sample, _ = _covered(xy[solid.faces], near[solid.faces], camera)
+        dark = np.zeros(len(colors), dtype=bool)
+        dark[sample] = True
+        colors[seen & dark] = SHADOW * floor.color
+
+
+def _draw_solid(solid: Shaded, camera: Camera, colors: Array, nearness: Array) -> None:
+    xy, near = camera.project(solid.vertices)
+    face, sample, weights = _covered(xy[solid.faces], near[solid.faces], camera)
+    inverse = (weights * near[solid.faces][face]).sum(axis=1)
+    np.maximum.at(nearness, sample, inverse)
+    front = inverse >= nearness[sample]
+    face, sample, weights = face[front], sample[front], weights[front]
+    # On the picture, what is linear is a value over its depth, not the value; a part is too small to show the error.
+    normal = (weights[:, :, None] * solid.normals[face]).sum(axis=1)
+    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-9)
+    away = camera.R[2]
+    normal = np.where((normal @ away > 0.25)[:, None], -normal, normal)
+    lit = np.maximum(normal @ LIGHT, 0.0)
+    sheen = np.maximum(normal @ _halfway(away), 0.0) ** 40
+    light = 0.5 + 0.13 * normal[:, 2] + 0.45 * lit
+    colors[sample] = light[:, None] * solid.color + 0.08 * sheen[:, None]
+
+
+def _halfway(away: Array) -> Array:
+    middle = LIGHT - away
+    return np.asarray(middle / np.linalg.norm(middle))
+
+
+def _covered(corners: Array, near: Array, camera: Camera) -> tuple[Array, Array, Array]:
+    """The samples that triangles cover: triangle (N,), sample (N,) and barycentric weights (N, 3).
+
+    corners: (F, 3, 2), samples. near: their inverse depths (F, 3).
+    """
+    size = np.array([camera.width, camera.height])
+    low = np.clip(np.ceil(corners.min(axis=1) - 0.5), 0, size).astype(np.int64)
+    high = np.clip(np.floor(corners.max(axis=1) - 0.5) + 1.0, 0, size).astype(np.int64)
+    counts = np.maximum(high - low, 0)
+    counts[(near > 1.0 / NEAR).any(axis=1)] = 0
+    n = counts.prod(axis=1)
+    face = np.repeat(np.arange(len(corners)), n)
+    k = np.arange(len(face)) - np.repeat(np.cumsum(n) - n, n)
+    columns = counts[face, 0]
+    x, y = low[face, 0] + k % np.maximum(columns, 1), low[face, 1] + k // np.maximum(columns, 1)
+    a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
+    area = _cross(b - a, c - a)
+    turn = np.where(area == 0.0, 0.0, 1.0 / np.where(area == 0.0, 1.0, area))
+    place = np.stack([x + 0.5, y + 0.5], axis=1)
+    v = _cross(place - a[face], (c - a)[face]) * turn[face]
+    w = _cross((b - a)[face], place - a[face]) * turn[face]
+    weights = np.stack([1.0 - v - w, v, w], axis=1)
+    inside = (weights >= 0.0).all(axis=1) & (turn[face] != 0.0)
+    return face[inside], (y * camera.width + x)[inside], weights[inside]
+
+
+def _cross(a: Array, b: Array) -> Array:
+    return np.asarray(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])
