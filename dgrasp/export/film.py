@@ -1,4 +1,4 @@
-"""A sequence as moving pictures, drawn by the physics engine's software renderer: GIF, or mp4 with imageio-ffmpeg."""
+"""Export a sequence as a video, drawn by PyBullet's software renderer: GIF, or mp4 with imageio-ffmpeg."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ from raisim_like.shapes import Shape
 from raisim_like.world import World
 
 SIZE = (640, 480)
-"""Pixels; even numbers, as mp4 wants them."""
+"""Width and height in pixels; mp4 needs even numbers."""
 GIF_EVERY = 2
-"""A GIF shows every second control step: its frames last at least 20 ms."""
+"""A GIF shows every second control step, because its frames last at least 20 ms."""
 
 
 def pictures(sequence: StoredSequence, every: int = 1, size: tuple[int, int] = SIZE) -> Iterator[Array]:
-    """Frames (height, width, 3) uint8, one for every `every` control steps."""
+    """Frames (height, width, 3) uint8, one every `every` control steps."""
     table = sequence.about["table"]
     yield from record_pictures(sequence.record, sequence.meshes, (table["top_m"], table["lowered_m"]), every, size)
 
@@ -37,7 +37,7 @@ def record_pictures(
     record: EpisodeRecord, meshes: DisplayMeshes, table_m: tuple[float, float] = (TABLE_TOP, LOWERED_TOP),
     every: int = 1, size: tuple[int, int] = SIZE,
 ) -> Iterator[Array]:  # fmt: skip
-    """The same of a record. table_m: heights of the table's top, and of it once it is taken away."""
+    """`pictures` of a record. table_m: height of the table's top before and after the table is taken away, m."""
     q, t = body_poses(meshes, record)
     tops = table_tops(record, *table_m)
     target, yaw = viewpoint(record)
@@ -64,14 +64,14 @@ def record_pictures(
 
 
 def gif(sequence: StoredSequence) -> bytes:
-    """An endless GIF."""
+    """The bytes of an endless GIF at the sequence's own speed."""
     return gif_bytes(list(pictures(sequence, GIF_EVERY)), GIF_EVERY * sequence.record.dt)
 
 
 def write_mp4(path: Path, sequence: StoredSequence) -> None:
-    """Write an mp4 (H.264) at the sequence's own speed, in one step.
+    """Write an mp4 (H.264) at the sequence's own speed, atomically.
 
-    Raises `ConfigError` where imageio-ffmpeg is not installed, `DataError` where the file cannot be written.
+    Raises `ConfigError` if imageio-ffmpeg is not installed, `DataError` if the file cannot be written.
     """
     try:
         import imageio_ffmpeg

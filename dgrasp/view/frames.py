@@ -1,4 +1,4 @@
-"""Pictures of recorded episodes, without a display."""
+"""Pictures of recorded episodes, rendered without a display."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ TABLE_COLOR = (0.86, 0.84, 0.80, 1.0)
 
 
 class Stage:
-    """A hand, an object and a table that are placed and drawn, never simulated."""
+    """A hand, an object and a table that are placed and drawn but never simulated."""
 
     def __init__(self, hand: HandModel, model: ObjectModel, engine: str) -> None:
         self._world = World.from_spec(scene_spec(hand, model, PhysicsConfig()), engine)
@@ -42,14 +42,15 @@ class Stage:
         self._world.close()
 
     def place(self, T_WH0: Array, gc: Array, T_WO: Array, table_top: float) -> None:
-        """Put the hand's base (4, 4) and coordinates (dof,), the object (4, 4) and the table's top (m, world)."""
+        """Place the hand by its base (4, 4) and coordinates (dof,), the object (4, 4) and the table's top (m, world).
+        """
         self._hand.set_base_pose(T_WH0[:3, 3], quaternion_from_matrix(T_WH0[:3, :3]))
         self._hand.set_state(gc)
         self._object.set_state(T_WO[:3, 3], quaternion_from_matrix(T_WO[:3, :3]))
         self._table.set_state(table_state(table_top)[:3])
 
     def picture(self, eye: Array, target: Array, size: tuple[int, int]) -> Array:
-        """(height, width, 3) uint8 from `eye` (3,) towards `target` (3,), m, world; size: (width, height)."""
+        """Picture (height, width, 3) uint8 from `eye` (3,) towards `target` (3,), m, world; size: (width, height)."""
         return self._world.render(eye, target, *size).copy()
 
 
@@ -61,9 +62,9 @@ def render_record(
     every: int = 4,
     size: tuple[int, int] = (320, 240),
 ) -> list[Array]:
-    """Frames (height, width, 3) uint8 of an episode, one for every `every` control steps."""
+    """Frames (height, width, 3) uint8 of an episode, one every `every` control steps."""
     if model.mesh is not None:
-        # Nothing is simulated here, and PyBullet, which draws for every engine, takes the object's mesh as it is.
+        # Nothing is simulated here, so the object's mesh replaces its collision shapes. PyBullet draws any mesh.
         model, engine = replace(model, shapes=(Shape("mesh", file=model.mesh),)), "pybullet"
     stage = Stage(hand, model, engine)
     try:
@@ -73,7 +74,7 @@ def render_record(
         eye = target + np.array([0.45, -0.38, 0.28])
         for t in range(0, len(record.gc), every):
             gc = record.gc[t]
-            # The hand's base is found from the wrist: T_WH = T_WH0 * (translation, Euler angles of gc).
+            # The hand's base follows from the wrist: T_WH = T_WH0 * (translation, Euler angles of gc).
             R_WH0 = record.T_WH[t, :3, :3] @ matrix_from_euler(gc[3:6]).T
             origin = record.T_WH[t, :3, 3] - R_WH0 @ gc[:3]
             top = TABLE_TOP if record.table_stays or t < record.window_start else LOWERED_TOP
@@ -104,9 +105,10 @@ def render_state(state: SceneState, row: int, spec: PoolSpec, size: tuple[int, i
 
 
 def gif_bytes(frames: Sequence[Array], frame_s: float) -> bytes:
-    """An endless GIF of frames (height, width, 3) uint8, shown for `frame_s` seconds each on average.
+    """An endless GIF of frames (height, width, 3) uint8, each shown for `frame_s` seconds on average.
 
-    GIF counts whole hundredths of a second, and few viewers show a frame for less than two.
+    `frame_s` is raised to 0.02 s, because few viewers show a frame for a shorter time. GIF stores durations in
+    hundredths of a second, so they are rounded.
     """
     ends = np.rint(np.arange(len(frames) + 1) * max(frame_s, 0.02) * 100.0).astype(int)
     images = [Image.fromarray(frame).quantize(colors=96, dither=Image.Dither.NONE) for frame in frames]
@@ -118,7 +120,7 @@ def gif_bytes(frames: Sequence[Array], frame_s: float) -> bytes:
 
 
 def tile(clips: Sequence[Sequence[Array]], columns: int) -> list[Array]:
-    """Several clips side by side as one; shorter ones wait on their last frame."""
+    """One clip with several clips side by side; shorter clips stay on their last frame."""
     length = max(len(clip) for clip in clips)
     height, width, _ = clips[0][0].shape
     rows = -(-len(clips) // columns)

@@ -32,7 +32,7 @@ def test_the_demo_from_end_to_end(
     assert run_command("demo", short) == 0
     shown = capsys.readouterr().out
     assert "20 labels that no policy was trained on" in shown and "mean over objects" in shown
-    assert "carrying six objects" in shown and "trained from nothing on 004_sugar_box" in shown
+    assert "carrying six objects" in shown and "trained from scratch on 004_sugar_box" in shown
     assert f"dgrasp train --resume {run}" in shown
     for name, count in (("gt_pd", 20), ("policy", 20), ("motion", 6)):
         result = json.loads((run / f"{name}.json").read_text())

@@ -173,4 +173,4 @@ def test_what_is_not_a_run_is_refused(tmp_path: Path, capsys: pytest.CaptureFixt
     assert main(["runs", str(tmp_path), str(tmp_path)]) == 2
     assert "not a run directory" in capsys.readouterr().err
     assert main(["runs", str(tmp_path)]) == 0
-    assert "no runs there" in capsys.readouterr().out
+    assert "no runs in this folder" in capsys.readouterr().out

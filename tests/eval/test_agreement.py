@@ -40,7 +40,7 @@ def test_places_count_in_the_file(whole: LabelSet, tmp_path: Path) -> None:
     assert found.share == pytest.approx(2 / 6)
     assert found.labels_here_alone == ["004_sugar_box[2]", "025_mug[2]"]
     assert found.labels_there_alone == ["004_sugar_box[1]", "025_mug[1]"]
-    assert "held here alone: 004_sugar_box[2], 025_mug[2]" in found.lines()
+    assert "held only here: 004_sugar_box[2], 025_mug[2]" in found.lines()
     assert found.plain()["agreement"] == found.share
 
 

@@ -75,7 +75,7 @@ def test_the_labels_go_on_to_be_checked(mini: MiniDexYcb, hand: Path, capsys: py
     shown = capsys.readouterr().out
     assert "hand mini_hand" in shown and "1 labels of 1 objects: 1 with an approach, 1 with a table" in shown
     # The object's origin is 0.1 m above the table, half of the box's height is 0.0875.
-    assert "objects' lowest points +12.5 to +12.5 mm over the table's top" in shown
+    assert "the objects' lowest points are +12.5 to +12.5 mm above the table's top" in shown
     # And the mini hand is cubes around its joints, which end farther from the box than its skin.
     assert "dexycb:s1/a:004_sugar_box[0]: hand 29 mm from the object; object 13 mm over the table" in shown
 
@@ -145,10 +145,10 @@ def test_a_tag_that_faces_down_is_turned(
 ) -> None:
     mini.add("s1", "a", standard(), tag="down")
     (label,) = run(mini, hand)
-    assert "tags whose z points into the table, turned about x: 1" in capsys.readouterr().out
+    assert "tags whose z axis points into the table (turned about x): 1" in capsys.readouterr().out
     run(mini, hand)
     shown = capsys.readouterr().out
-    assert "1 results from the cache" in shown and "turned about x: 1" in shown
+    assert "1 results from the cache" in shown and "(turned about x): 1" in shown
     # Its y and z are reversed; turned about its x, it is the upright tag again.
     np.testing.assert_allclose(label.T_WO[:3, 3], [0.6, 0.2, 0.612], atol=1e-6)
 

@@ -172,12 +172,12 @@ def test_a_table_refuses_what_it_has_no_use_for(
     runs = tmp_path / "t"
     assert run_command("test", ["--table", "grasp", "--data", str(folder), "--runs", str(runs), *words]) == 2
     said = capsys.readouterr().err
-    assert f"leave {words[0]} away" in said and "labels.objects" in said and not runs.exists()
+    assert f"leave out {words[0]}" in said and "labels.objects" in said and not runs.exists()
 
 
 def test_all_that_is_refused_is_named_at_once(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert run_command("test", ["--table", "grasp", "--json", "x.json", "--split", "test", "--data", str(folder)]) == 2
-    assert "leave --split, --json away" in capsys.readouterr().err
+    assert "leave out --split, --json" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("words", [["--budget", "5"], ["--seeds", "1,2"], ["--runs", "x"]])
