@@ -86,7 +86,7 @@ def main(arguments: argparse.Namespace) -> int:
     todo = [task for task in tasks if not (parts / task.file).is_file()]
     missing = {task.file for task in todo}
     if len(todo) < len(tasks):
-        print(f"{parts}: {len(tasks) - len(todo)} objects were already made by an interrupted run", flush=True)
+        print(f"{parts}: {len(tasks) - len(todo)} objects are there from an interrupted run", flush=True)
     with ProcessPoolExecutor(workers, multiprocessing.get_context("spawn"), _one_thread) as pool:
         results = iter(pool.map(_make, todo))
         for task in tasks:

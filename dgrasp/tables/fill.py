@@ -122,8 +122,8 @@ class Tables:
             if trial.run is not None:
                 found.notes += self.trainings.about(trial.run)
         if found.results and len(found.results) < len(line.trials):
-            found.notes.append(f"{line.group}, {line.name}: only {len(found.results)} of {len(line.trials)} evaluations "
-                               "are available")
+            found.notes.append(f"{line.group}, {line.name}: only {len(found.results)} of {len(line.trials)} "
+                               "evaluations are available")
         if found.changed:
             found.notes.append(f"evaluated with {', '.join(found.changed)}, which differs from this table's rows")
         return found

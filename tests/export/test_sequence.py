@@ -83,7 +83,7 @@ def described(**changes: Any) -> Array:
         ({"gc": np.zeros((8, 50), np.float32)}, r"gc has shape \(8, 50\); expected \(8, 51\)"),
         ({"T_WO": np.zeros((7, 4, 4), np.float32)}, "T_WO has shape"),
         ({"mesh_sizes": np.zeros((17, 2), np.int32)}, "do not add up"),
-        ({"mesh_faces": np.full((36, 3), 9, np.int32)}, "a face of palm has a vertex that is not there"),
+        ({"mesh_faces": np.full((36, 3), 9, np.int32)}, "a face of palm names a vertex that does not exist"),
         ({"meta": np.array('{"format": "dgrasp-sequence", "schema": 3}')}, "schema 3; this program reads 1 to 2"),
         ({"meta": np.array('{"format": "dgrasp-sequence", "schema": 1}')}, "description is incomplete"),
         ({"meta": described(table={})}, r"incomplete or wrong \(table\)"),
