@@ -1,4 +1,4 @@
-"""`dgrasp demo`, short: both methods, the motion, a training, and what they leave."""
+"""A shortened `dgrasp demo`: both methods, the motion, a training, and their output files."""
 
 from __future__ import annotations
 
@@ -40,5 +40,5 @@ def test_the_demo_from_end_to_end(
         assert "replay-data" in (run / f"{name}.html").read_text()
     assert (run / "grasps.gif").read_bytes().startswith(b"GIF89a")
     assert (run / "checkpoints").is_dir()
-    # A folder that is there is left alone.
+    # An existing folder is not overwritten.
     assert run_command("demo", ["--run", str(run), *short]) == 2

@@ -53,7 +53,7 @@ def test_ours_beside_the_paper(beside: Result) -> None:
     assert rows[0] == ["002_master_chef_can", "2", "0.50", "0.19", "12.6", "18.0", "2.50", "5.68"]
     # (0.19 + 0.35) / 2 in the paper for these two objects.
     assert rows[2][2:4] == ["0.75", "0.27"]
-    # The paper averages over objects alone.
+    # The paper averages only over objects.
     assert rows[3][2:4] == ["0.67", ""]
 
 

@@ -18,7 +18,7 @@ from tests.export.sequences import sequence
 
 @pytest.fixture(scope="module")
 def tested(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """An evaluation of two labels, with everything that it can leave."""
+    """An evaluation of two labels with all of its output files."""
     place = tmp_path_factory.mktemp("tested")
     words = ["--baseline", "gt_pd", "--data", str(make_folder(place / "set")), "pool.kind=serial", "eval.window_s=0.3"]
     words += ["--json", str(place / "a.json"), "--report", str(place / "a.html"), "--records", str(place / "sequences")]

@@ -146,7 +146,7 @@ def test_sources_and_files(tmp_path: Path, home: Path) -> None:
         ({"data": "{tmp}"}, "data: {tmp} has no labels/; it holds project/, r/, raw/"),
         ({"data": "{tmp}/raw"}, "it holds DexYCB's raw recordings, which are not read directly"),
         ({"data": "{tmp}/r", "labels": {"split": "test"}},
-         "no test split of dexycb labels here; expected one of the splits that are there: dexycb train, grasptta train"),
+         "no test split of dexycb labels here; expected one of the splits that are there: dexycb train, grasptta"),
         ({"data": "{tmp}/r", "labels": {"source": "contactopt"}}, "no train split of contactopt labels here"),
         ({"data": "{tmp}/r", "labels": {"source": "dexicb"}}, "did you mean 'dexycb'"),
         ({"data": "{tmp}/r", "labels": {"source": "x/y.npz"}}, "'x/y.npz' is neither dexycb, grasptta, contactopt nor"),

@@ -1,4 +1,5 @@
-"""The paper's tables: what they take, filled with what is there, trained within a budget, never done twice."""
+"""The paper's tables: their definitions, filled from existing runs, trained within a budget, and never evaluated twice.
+"""
 
 from __future__ import annotations
 
@@ -128,7 +129,7 @@ def test_a_budget_trains_what_is_missing_and_an_interruption_goes_on(
     command = ["--table", "ablation", "--data", str(folder), "--runs", str(tmp_path), "--budget", "10", *SHORT]
     assert run_command("test", command) == 130
     rows = _table("ablation", folder, tmp_path, "--budget", "10")
-    # Two were trained before; the third, of which nothing was saved, and the others now.
+    # Two runs were trained by the first command. The third saved nothing, so the second command trains it and the rest.
     assert began[:2] == ["no_contact_reward_004_sugar_box", "no_goal_space_004_sugar_box"]
     assert sorted(began[2:]) == sorted(
         ["no_feature_layer_004_sugar_box"] * 2 + ["no_wrist_guidance_004_sugar_box", "object_004_sugar_box"]
@@ -137,7 +138,7 @@ def test_a_budget_trains_what_is_missing_and_an_interruption_goes_on(
     note, changed = rows[0]["notes"]
     assert changed.startswith("evaluated with ") and "eval.window_s=0.06" in changed and "labels" not in changed
     assert "no_contact_reward_004_sugar_box: 1 epochs" in note and "env.episode_steps=6" in note
-    # What a row is about is no difference from its training.
+    # The keys that define a row are not reported as differences.
     assert "env.reward" not in note and "labels" not in note
     assert checkpoint.saved(tmp_path / "dexycb_pybullet_seed1" / "object_004_sugar_box")
 
@@ -148,7 +149,7 @@ def test_seeds_are_trained_apart_and_averaged(
     monkeypatch.setattr(plan_module, "ABLATION_OBJECTS", ("004_sugar_box",))
     monkeypatch.setattr(plan_module, "_ABLATIONS", {"ours": ("Ours", ())})
     rows = _table("ablation", folder, tmp_path, "--budget", "10", "--seeds", "3,5")
-    # The one label, with two seeds, is one label.
+    # One label with two seeds counts as one label.
     assert [row["n"] for row in rows] == [1]
     for row in rows:
         assert list(row["seeds"]) == ["3", "5"]
@@ -157,7 +158,7 @@ def test_seeds_are_trained_apart_and_averaged(
     weights = [checkpoint.latest(tmp_path / f"dexycb_pybullet_seed{k}" / "object_004_sugar_box") for k in (3, 5)]
     assert weights[0].read_bytes() != weights[1].read_bytes()
     assert "Ours, contact ratio by seed: 3: " in capsys.readouterr().out
-    # What is not learned is the same for all seeds.
+    # A method without training is evaluated once for all seeds.
     baseline = _table("grasp", folder, tmp_path, "--seeds", "3,5")[0]
     assert (baseline["n"], baseline["seeds"]) == (2, {})
 
@@ -200,7 +201,7 @@ def test_a_training_on_other_data_is_neither_evaluated_nor_resumed(
     runs, other = tmp_path / "runs", make_folder(tmp_path / "other")
     with open(other / "hand" / "free_hand.urdf", "a", encoding="utf-8") as stream:
         stream.write("<!-- another hand -->\n")
-    # An end that the budget does not reach: there is always more to train.
+    # The budget never suffices, so there is always more to train.
     endless = "ppo.epochs=1000000"
     (made,) = _table("ablation", folder, runs, "--budget", "0.001", endless)
     assert made["n"] == 1
@@ -247,14 +248,14 @@ def test_a_learned_motion_keeps_the_grasps_that_it_was_built_on(
     assert own.read_bytes() == first.read_bytes()
     assert f"motion.policy={json.dumps(str(own))}" in row["commands"][0]
 
-    # As a training by hand names it: the copy is made when a table next looks.
+    # A run trained with train.py names the original file; the next table makes the copy.
     config = trained / "learned_motion" / "config.yaml"
     config.write_text(config.read_text().replace(str(own), str(first)))
     own.unlink()
     _table("motion", folder, tmp_path, *words)
     assert own.read_bytes() == first.read_bytes()
 
-    # More training of the grasps leaves what the motion was trained on.
+    # Further training of the grasping policy does not change the policy that the motion was trained with.
     assert run_command("train", ["--resume", str(trained / "all_objects"), "ppo.epochs=2"]) == 0
     assert not first.exists()
     shutil.rmtree(trained / "results")
