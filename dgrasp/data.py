@@ -188,8 +188,7 @@ def _find_root(config: Config) -> tuple[Path, list[str]]:
 
 
 def _named_root(name: str, origin: str) -> Path:
-    """The folder `name` ("free": the shipped set). Raises `DataError` if it holds no usable data. origin: for errors.
-    """
+    """The folder `name` ("free": the shipped set). Raises `DataError`, naming `origin`, if it holds no usable data."""
     folder = data_root() / "free" if name == "free" else Path(os.path.expanduser(name))
     if not name or not os.path.isdir(folder):
         raise DataError(f"{origin}: no folder {str(folder)!r}; expected \"free\" or {_LAYOUT}")
@@ -201,8 +200,7 @@ def _named_root(name: str, origin: str) -> Path:
 
 
 def _hand(config: Config, root: Path, kind: Kind) -> HandSource:
-    """The data's own hand, or the hand that the config names (the data hand's id, a URDF file, a built hand's folder).
-    """
+    """The data's own hand, or the hand that the config names (an id, a URDF file, a built hand's folder)."""
     default, own = root / "hand" / _HAND_FILES[kind], _HAND_IDS[kind]
     if config.hand is not None and config.hand != own:
         found = find_hand(config.hand)

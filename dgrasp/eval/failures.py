@@ -89,8 +89,7 @@ def _touch(record: EpisodeRecord) -> Array:
 
 
 def _gripped(record: EpisodeRecord) -> bool:
-    """Whether the hand touched the object within `GRIP_S` before the table was removed, or after a start in the grasp.
-    """
+    """Whether the hand touched the object within `GRIP_S` before the table's removal, or after a start in the grasp."""
     steps = max(1, round(GRIP_S / record.dt))
     start = record.window_start
     near = slice(max(0, start - steps), start) if start else slice(0, steps)

@@ -31,8 +31,7 @@ def display_meshes(choice: DataChoice, spec: PoolSpec) -> dict[str, DisplayMeshe
 
 
 def mano_origin(choice: DataChoice, hand: HandModel, config: Config) -> dict[str, Any] | None:
-    """Side and betas of a hand made from MANO, and, if `eval.mano` is set, its root joint (3,) m; None for other hands.
-    """
+    """Side and betas of a hand made from MANO, and, with `eval.mano`, its root joint (3,) m; None for other hands."""
     folder = choice.hand_urdf.parent
     if is_built_hand(folder):
         meta = built_hand(folder)[2]

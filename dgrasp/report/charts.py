@@ -29,8 +29,10 @@ PANELS = {
 
 
 def shown_metrics(result: Result) -> list[str]:
-    """The metrics with bars, with only one interpenetration: by the shell, as the paper measured it (docs/metrics.md),
-    if there are paper's numbers, else by volume.
+    """The metrics with bars.
+
+    They include one interpenetration: by the shell, as in the paper (docs/metrics.md), if the result has the paper's
+    numbers, else by volume.
     """
     other = "interpenetration_cm3" if "interpenetration_shell_cm3" in (result.paper or {}) else (
         "interpenetration_shell_cm3")

@@ -68,8 +68,7 @@ def html_text(
 
 
 def document(title: str, sections: Sequence[str], data: Mapping[str, Any] | None) -> str:
-    """The HTML of a page with these sections. data: from `replay.pack` if one of them is `replays_section`, else None.
-    """
+    """The HTML of a page with these sections. data: from `replay.pack` if the page has `replays_section`, else None."""
     scripts = "".join(f"<script>{(_ASSETS / name).read_text(encoding='utf-8')}</script>\n"
                       for name in ("viewer.js", "page.js")) if data else ""
     # "<" could end the script element, so it is written as a JSON escape.

@@ -42,8 +42,7 @@ class Stage:
         self._world.close()
 
     def place(self, T_WH0: Array, gc: Array, T_WO: Array, table_top: float) -> None:
-        """Place the hand by its base (4, 4) and coordinates (dof,), the object (4, 4) and the table's top (m, world).
-        """
+        """Place the hand's base (4, 4), its coordinates (dof,), the object (4, 4) and the table's top (m, world)."""
         self._hand.set_base_pose(T_WH0[:3, 3], quaternion_from_matrix(T_WH0[:3, :3]))
         self._hand.set_state(gc)
         self._object.set_state(T_WO[:3, 3], quaternion_from_matrix(T_WO[:3, :3]))

@@ -33,8 +33,7 @@ td:first-child, th:first-child { text-align: left; }
 def label_pictures(
     labels: Sequence[GraspLabel], hand: HandModel, objects: Mapping[str, ObjectModel]
 ) -> dict[int, Array]:
-    """Pictures (height, width, 3) uint8 of the grasps, by the labels' indices; one stage per object draws its labels.
-    """
+    """Pictures (height, width, 3) uint8 of the grasps, by label index; one stage per object draws all its labels."""
     pictures: dict[int, Array] = {}
     for name in dict.fromkeys(label.object_id for label in labels):
         stage = Stage(hand, objects[name], "pybullet")

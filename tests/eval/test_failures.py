@@ -19,8 +19,7 @@ WINDOW = STEPS * DT
 
 
 def episode(last_touch: int | None, landed: int | None, first_touch: int = 5, **changes: Any) -> EpisodeRecord:
-    """The object is touched from step `first_touch` to `last_touch`, and on the table from step `landed` (None: never).
-    """
+    """The hand touches the object from `first_touch` to `last_touch`; it is on the table from `landed` (None: never)."""
     n = START + STEPS
     steps = np.arange(n)
     touch = (steps >= first_touch) & (steps <= (n if last_touch is None else last_touch))

@@ -1,5 +1,4 @@
-"""The paper's tables: their definitions, filled from existing runs, trained within a budget, and never evaluated twice.
-"""
+"""The paper's tables: definitions, filling from existing runs, training within a budget, no evaluation twice."""
 
 from __future__ import annotations
 
