@@ -209,7 +209,7 @@ def _hand(config: Config, root: Path, kind: Kind) -> HandSource:
                             "that name, a URDF file, or a folder of `dgrasp hand build`; or give other data (--data)")
         return found
     if not os.path.isfile(default):
-        raise DataError(f"{default}: no such hand; its folder holds {_contents(default.parent)}; expected "
+        raise DataError(f"{default}: no such hand; in its folder: {_contents(default.parent)}; expected "
                         f"{_LAYOUT}")
     return free_source(default) if kind == "free" else authors_source(default)
 

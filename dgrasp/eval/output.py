@@ -105,7 +105,7 @@ def _about_interpenetration(result: Result) -> list[str]:
     line = f"interpenetration: the hand's {about['hand_mesh']}, objects' {about['object_mesh']} meshes"
     line = line.replace("collision shapes meshes", "collision shapes")
     if not about["as_in_the_paper"]:
-        line += "; the paper uses MANO's skin and detailed objects"
+        line += "; the paper has MANO's skin and detailed object meshes"
     if about["holes_capped_in_objects"]:
         line += f"; {about['holes_capped_in_objects']} holes capped in the objects"
     if about["doubtful"] or about["failed"]:

@@ -19,7 +19,7 @@ WINDOW = STEPS * DT
 
 
 def episode(last_touch: int | None, landed: int | None, first_touch: int = 5, **changes: Any) -> EpisodeRecord:
-    """The hand touches the object from `first_touch` to `last_touch`; it is on the table from `landed` (None: never)."""
+    """The hand touches the object from `first_touch` to `last_touch`; the object lands at `landed` (None: never)."""
     n = START + STEPS
     steps = np.arange(n)
     touch = (steps >= first_touch) & (steps <= (n if last_touch is None else last_touch))

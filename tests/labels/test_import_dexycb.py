@@ -128,7 +128,7 @@ def test_several_subjects_and_what_is_skipped(
     assert labels[1].T_WO[2, 3] == pytest.approx(0.616, abs=1e-6)
     assert labels[2].start is None and labels[1].start is not None
     shown = capsys.readouterr().out
-    assert "labels without an approach, because the hand was first seen nearer than 0.2 m: 1" in shown
+    assert "labels without an approach, because the hand was first seen closer than 0.2 m: 1" in shown
     _, meta = read_native_with_meta(mini.root / OUT)
     assert meta["provenance"]["skipped"] == {
         "s3/j": "left hand", "s2/e": "hand not annotated", "s3/f": "object not annotated",
