@@ -1,6 +1,6 @@
-# Each target makes .venv first, and renews it only when pyproject.toml or constraints.txt has changed.
-#   PYTHON=/path/to/python3.11     the Python to make .venv with
-#   PIP_FLAGS="--index-url URL"    what every pip install is given too
+# Each target makes .venv first, and updates it only if pyproject.toml, setup.py or constraints.txt has changed.
+#   PYTHON=/path/to/python3.11     the Python that makes .venv
+#   PIP_FLAGS="--index-url URL"    further options for every pip install
 PYTHON ?= python3.11 python3.10 python3 python
 PIP_FLAGS ?=
 
@@ -11,18 +11,18 @@ FITS := import ensurepip, sys, venv; sys.exit(sys.version_info[:2] not in ((3, 1
 .PHONY: help setup demo test clean
 
 help:
-	@echo "make setup   make .venv: dgrasp and what it needs, pinned"
+	@echo "make setup   make .venv with dgrasp and its pinned dependencies"
 	@echo "make demo    PD control and the shipped policy on the free set, a short training, replays (about ten minutes)"
 	@echo "make test    ruff, mypy and pytest"
-	@echo "make clean   remove .venv, builds and caches; runs/ and results/ stay"
+	@echo "make clean   remove .venv, builds and caches; keep runs/ and results/"
 
 setup: .venv/.installed
 
 demo: .venv/.installed
 	@$(PY) -m dgrasp demo
 
-# One thread a process: torch's own threads in two pytest workers would fight for the cores. A file's tests stay in
-# one worker, as they share what is slow to make.
+# One thread per process, because torch's threads in two pytest workers would compete for the cores. The tests of a file
+# stay in one worker, because they share slow fixtures.
 test: .venv/.installed-dev
 	$(PY) -m ruff check .
 	$(PY) -m mypy
@@ -39,20 +39,20 @@ clean:
 	      echo "setup: .venv with $$("$$python" --version)"; exec "$$python" -m venv --clear .venv; \
 	    fi; \
 	  done; \
-	  echo "No Python 3.10 or 3.11 with its venv module found (looked at: $(PYTHON)). PyBullet has wheels for these" \
-	       "two alone; install one, or name yours: make $(or $(MAKECMDGOALS),setup) PYTHON=/path/to/python3.11" >&2; \
+	  echo "No Python 3.10 or 3.11 with its venv module found (looked at: $(PYTHON)). PyBullet has wheels only for" \
+	       "these; install one, or name yours: make $(or $(MAKECMDGOALS),setup) PYTHON=/path/to/python3.11" >&2; \
 	  exit 2; }
 	@torch=$$(sed -n 's/^torch==//p' constraints.txt); echo "setup: torch $$torch"; \
 	if [ "$$(uname -s)" = Linux ] && ! nvidia-smi >/dev/null 2>&1; then \
 	  $(PIP) "torch==$$torch+cpu" 2>/dev/null || \
-	    echo "setup: no CPU build of torch on offer; the default may bring gigabytes of CUDA (see PIP_FLAGS)"; \
+	    echo "setup: no CPU build of torch found; the default build may download gigabytes of CUDA (see PIP_FLAGS)"; \
 	fi; \
 	$(PIP) torch setuptools
-	@echo "setup: dgrasp and what else it needs"
+	@echo "setup: dgrasp and its other dependencies"
 	@$(PIP) --no-build-isolation --editable .
 	@touch $@
 
 .venv/.installed-dev: .venv/.installed
-	@echo "setup: ruff, mypy, pytest and the like"
+	@echo "setup: ruff, mypy, pytest and other development tools"
 	@$(PIP) --no-build-isolation --editable '.[dev]'
 	@touch $@

@@ -1,4 +1,4 @@
-"""From a config to what runs: data, hand, objects, pool."""
+"""Build what an experiment runs with from its config: objects, hand, pool."""
 
 from __future__ import annotations
 
@@ -38,22 +38,22 @@ def build_objects(choice: DataChoice, config: Config) -> dict[str, ObjectModel]:
 
 
 def build_hand(choice: DataChoice) -> HandModel:
-    """The chosen hand; a `DataError` where its joints, parts or key points are not those of the labels."""
+    """The chosen hand. Raises `DataError` if its joints, parts or key points differ from those of the labels."""
     hand = choice.hand_source.load()
     for what in ("joints", "parts", "keypoints"):
         there, here = getattr(choice.labels.names, what), getattr(hand.layout.names, what)
         if there != here:
             other = next(pair for pair in zip_longest(there, here) if pair[0] != pair[1])
             raise DataError(f"{choice.labels.source}: labels of {len(there)} {what}, but the hand {hand.id!r} has "
-                            f"{len(here)}; the first difference is {other[0]!r} there, {other[1]!r} here; choose the "
-                            "hand that the labels were made for (hand=)")
+                            f"{len(here)}; the first difference is {other[0]!r} in the labels, {other[1]!r} in the "
+                            "hand; choose the hand that the labels were made for (hand=)")
     return hand
 
 
 def build_spec(choice: DataChoice, config: Config) -> PoolSpec:
-    """What a pool for the chosen labels is made of.
+    """The specification of a pool for the chosen labels.
 
-    `ConfigError` for an engine that is not installed, and for a `motion.policy` that cannot make the grasps of a task.
+    Raises `ConfigError` if the engine is not installed, or if `motion.policy` cannot make the grasps of the task.
     """
     try:
         find_engine(config.engine)
@@ -66,10 +66,10 @@ def build_spec(choice: DataChoice, config: Config) -> PoolSpec:
 
 
 def frozen_policy(config: Config, hand: HandLayout | None = None) -> Actor | None:
-    """The policy of `motion.policy`, where the task needs one: to grasp with, or to say which grasps are stable."""
+    """The policy of `motion.policy` if the task needs one, to grasp or to find the stable grasps; else None."""
     return grasping_policy(config, hand).arrays() if TRAINED[config.env.task].needs_grasp(config.motion) else None
 
 
 def build_pool(choice: DataChoice, config: Config) -> Pool:
-    """One environment per chosen label, in the pool that the config names."""
+    """A pool of the kind that the config names, with one environment per chosen label."""
     return make_pool(build_spec(choice, config))

@@ -1,4 +1,4 @@
-"""The command line: `dgrasp train`, `dgrasp test`; train.py and test.py are the same by another name."""
+"""The command line, such as `dgrasp train` and `dgrasp test`; train.py and test.py are shortcuts for these two."""
 
 from __future__ import annotations
 
@@ -28,34 +28,34 @@ COMMANDS = {
     "labels make": "dgrasp.commands.labels_make",
     "labels check": "dgrasp.commands.labels_check",
 }
-"""Each command's module: `HELP`, `add_arguments` and `main`."""
+"""Command -> its module, which defines `HELP`, `add_arguments` and `main`."""
 
 
 _USAGE = """\
-usage: dgrasp COMMAND ...      (dgrasp COMMAND --help teaches a command)
+usage: dgrasp COMMAND ...      (dgrasp COMMAND --help explains a command)
 
 Dynamic grasps from static grasp labels, on open physics (D-Grasp, CVPR 2022).
 
 commands:
   train    train a grasping policy
   test     evaluate a policy or a baseline
-  demo     train briefly on the free set and show what happens
-  runs     list training runs, compare two
-  publish  a trained policy as one small file
-  view     stored sequences as a page of replays
-  export   stored sequences as arrays, GLB animations, GIF or mp4
-  hand     build: a physics hand from a MANO file or the free skin; report: compare hands
-  object   add: objects for the physics from mesh files
-  labels   import: labels from DexYCB, HO3D or MANO parameters; make: synthesise grasps; check: what is wrong with a
-           label file
+  demo     test the shipped policy and train briefly on the free set, with replays
+  runs     list training runs, or compare two
+  publish  write a trained policy as one small file
+  view     show stored sequences as a page of replays
+  export   convert stored sequences to arrays, GLB animations, GIF or mp4
+  hand     build: make a physics hand from a MANO file or the free skin; report: print or compare hands
+  object   add: make objects for the physics from mesh files
+  labels   import: convert DexYCB, HO3D or MANO parameters to labels; make: synthesise grasps; check: find problems in
+           a label file
 """
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run a command; wrong use and bad input give one message on stderr and exit code 2."""
+    """Run a command; returns the exit code. Wrong use and bad input give one message on stderr and exit code 2."""
     if sys.version_info[:2] not in ((3, 10), (3, 11)):
         found = ".".join(map(str, sys.version_info[:2]))
-        print(f"dgrasp needs Python 3.10 or 3.11 (PyBullet has wheels for no other); this is {found}", file=sys.stderr)
+        print(f"dgrasp needs Python 3.10 or 3.11 (PyBullet has no wheels for others); this is {found}", file=sys.stderr)
         return EXIT_BAD_INPUT
     words = list(sys.argv[1:] if arguments is None else arguments)
     if not words or words[0] in ("-h", "--help"):
@@ -64,7 +64,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if words[0] == "--version":
         print(f"dgrasp {__version__}")
         return 0
-    # "hand build" is one command of two words; `dgrasp hand` alone asks which.
+    # "hand build" is one command of two words; `dgrasp hand` alone is an error that lists the commands of `hand`.
     name = next((name for name in COMMANDS if words[: name.count(" ") + 1] == name.split()), None)
     if name is None:
         inner = [command for command in COMMANDS if command.split()[0] == words[0]]
@@ -78,7 +78,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def run_command(name: str, arguments: Sequence[str], prog: str | None = None) -> int:
-    """One command with its arguments; train.py and test.py call this."""
+    """Run one command with its arguments; returns the exit code. train.py and test.py call this."""
     try:
         from dgrasp.rl.runner import Interrupted
 
@@ -96,7 +96,7 @@ def run_command(name: str, arguments: Sequence[str], prog: str | None = None) ->
             print(str(stop), file=sys.stderr)
             return 0 if stop.preempted else EXIT_INTERRUPTED
         except OSError as error:
-            # A path that may not be entered, or is too long; what names no file is a defect of ours.
+            # The path is not accessible or too long. An OSError without a file name is a bug, so it is raised.
             if error.filename is None:
                 raise
             print(f"error: {error.filename}: {error.strerror}", file=sys.stderr)

@@ -1,7 +1,7 @@
-"""Which hand, objects and labels an experiment uses: found in a stated order, and said aloud.
+"""Find the hand, objects and labels of an experiment, and describe the choice to the user.
 
-Order: what the config names (a folder, or "free"); the environment's DGRASP_DATA, then DEX_YCB_DIR if it is
-laid out like the authors' release; such a folder under data/; the free set that ships.
+Order of search: the config's `data` (a folder, or "free"); the environment variable DGRASP_DATA; DEX_YCB_DIR, if it is
+laid out like the authors' release; a folder with this layout under data/; the free set that ships with the package.
 """
 
 from __future__ import annotations
@@ -27,13 +27,18 @@ _LAYOUT = "a folder laid out like the authors' release (hand/mano_mean.urdf, obj
 
 @dataclass(frozen=True)
 class DataChoice:
-    """What an experiment uses.
+    """The data that an experiment uses.
 
-    root: the folder. kind: "release" (laid out like the authors') or "free". hand_source: the hand. objects_dir: folder
-    of object meshes. labels: the chosen labels. licence: the terms for using them.
-    source, split: which labels by name ("file" where a file outside the release was given).
-    comparable_with_paper: the paper's hand and labels. notes: remarks on how the choice came about.
-    added: the labels' objects that are none of the 20 but were added by the user, by name.
+    root: the data folder.
+    kind: "release" (laid out like the authors' release) or "free".
+    hand_source: where the hand comes from. hand_sha256: hash of its URDF file.
+    objects_dir: folder of object meshes.
+    labels: the chosen labels.
+    licence: the licence of the labels.
+    source, split: the names of source and split ("file" for a label file outside the release).
+    comparable_with_paper: whether hand and labels are the paper's.
+    notes: remarks on how the data was found.
+    added: name -> object, for those of the labels' objects that are not among the 20 but were added by the user.
     """
 
     root: Path
@@ -60,7 +65,7 @@ class DataChoice:
         return self.hand_source.id
 
     def stamp(self) -> dict[str, Any]:
-        """What was used, for results and run folders; plain JSON values, no machine's paths."""
+        """Record of the choice for results and run folders: plain JSON values, without paths of this machine."""
         added = {"added_objects": {name: entry.id for name, entry in self.added.items()}} if self.added else {}
         return {
             "kind": self.kind,
@@ -79,7 +84,7 @@ class DataChoice:
         }
 
     def describe(self) -> str:
-        """One line: which hand, which labels, how many, under which licence."""
+        """One line: data folder, hand, labels, their number, licence and notes."""
         which = f"{self.source} {self.split}" if self.source != "file" else "a file's"
         line = (f"data {self.kind} ({self.root}): hand {self.hand}, {which} labels ({self.labels.source.name}), "
                 f"{len(self.labels.labels)} of {len(self.labels.objects)} objects; licence: {self.licence}")
@@ -90,8 +95,8 @@ class DataChoice:
 def resolve(config: Config) -> DataChoice:
     """Find the data of an experiment.
 
-    Raises `DataError` for anything named that does not exist (it says what was looked for and what is there),
-    for labels made for another hand, and, with `fallback: error`, where just the free set is left.
+    Raises `DataError` if something that the config names does not exist (the message lists what was looked for and what
+    was found), if the labels were made for another hand, and, with `fallback: error`, if only the free set is found.
     """
     root, notes = _find_root(config)
     kind: Kind = "free" if _is_free(root) else "release"
@@ -104,7 +109,8 @@ def resolve(config: Config) -> DataChoice:
     source, split = named or labels.published_as or ("file", "file")
     if labels.hand != hand:
         raise DataError(f"{path}: labels made for the hand {labels.hand!r}, but the hand of {root} is {hand!r}; "
-                        "a grasp fits one hand alone: choose data or labels that go together (--data, --labels, hand=)")
+                        "a grasp fits only its own hand; choose data and labels that go together (--data, --labels, "
+                        "hand=)")
     chosen = select(labels, config.labels.objects, config.labels.limit_per_object)
     added = _added(config, root, chosen)
     comparable = kind == "release" and labels.comparable_with_paper and hand_urdf == root / "hand" / _HAND_FILES[kind]
@@ -116,7 +122,7 @@ def resolve(config: Config) -> DataChoice:
 
 
 def _added(config: Config, root: Path, labels: LabelSet) -> dict[str, StoredObject]:
-    """The labels' objects that are none of the 20, from the folder that the config names, the data's or the user's."""
+    """The labels' objects that are not among the 20, from the config's folder, else from the data's or the user's."""
     folders = [root / "objects", default_store()]
     if config.objects is not None:
         folders = [Path(os.path.expanduser(config.objects))]
@@ -134,7 +140,7 @@ def _is_release(folder: Path) -> bool:
 
 
 def _holds_recordings(folder: Path) -> bool:
-    """Whether the folder is DexYCB itself: subject/sequence/meta.yml."""
+    """Whether the folder holds DexYCB's recordings: subject/sequence/meta.yml."""
     try:
         return next(folder.glob("*/*/meta.yml"), None) is not None
     except OSError:
@@ -150,7 +156,7 @@ def _contents(folder: Path) -> str:
 
 
 def _find_root(config: Config) -> tuple[Path, list[str]]:
-    """The data folder and remarks for the user."""
+    """The data folder, and notes for the user."""
     if config.data is not None:
         return _named_root(config.data, "data"), []
     if os.environ.get("DGRASP_DATA"):
@@ -170,7 +176,7 @@ def _find_root(config: Config) -> tuple[Path, list[str]]:
             return folder, notes + ([f"from {name}"] if name != "data" else [])
         if _holds_recordings(folder):
             notes.append(f"{folder} ({name}) holds DexYCB's raw recordings, which are not read directly; "
-                         "`dgrasp labels import dexycb` makes labels of them")
+                         "`dgrasp labels import dexycb` makes labels from them")
             looked.append(f"{folder} ({name}: raw recordings, which are not read directly)")
         elif name != "data" or folder.name == "dexycb":
             looked.append(f"{folder} ({name}: " + ("no labels/ in it)" if os.path.isdir(folder) else "no such folder)"))
@@ -182,7 +188,7 @@ def _find_root(config: Config) -> tuple[Path, list[str]]:
 
 
 def _named_root(name: str, origin: str) -> Path:
-    """The folder called `name` ("free" is what ships), which must be usable."""
+    """The folder `name` ("free": the shipped set). Raises `DataError`, naming `origin`, if it holds no usable data."""
     folder = data_root() / "free" if name == "free" else Path(os.path.expanduser(name))
     if not name or not os.path.isdir(folder):
         raise DataError(f"{origin}: no folder {str(folder)!r}; expected \"free\" or {_LAYOUT}")
@@ -194,13 +200,13 @@ def _named_root(name: str, origin: str) -> Path:
 
 
 def _hand(config: Config, root: Path, kind: Kind) -> HandSource:
-    """The hand: the data's own, or what the config names (its id, a URDF file, a built hand's folder)."""
+    """The data's own hand, or the hand that the config names (an id, a URDF file, a built hand's folder)."""
     default, own = root / "hand" / _HAND_FILES[kind], _HAND_IDS[kind]
     if config.hand is not None and config.hand != own:
         found = find_hand(config.hand)
         if found is None:
-            raise DataError(f"hand: neither the hand of {root} ({own!r}) nor a file: {config.hand!r}; give that name, "
-                            "a URDF file, a folder of `dgrasp hand build`, or other data (--data)")
+            raise DataError(f"hand: neither the hand of {root} ({own!r}) nor a file: {config.hand!r}; expected "
+                            "that name, a URDF file, or a folder of `dgrasp hand build`; or give other data (--data)")
         return found
     if not os.path.isfile(default):
         raise DataError(f"{default}: no such hand; in its folder: {_contents(default.parent)}; expected "
@@ -209,22 +215,22 @@ def _hand(config: Config, root: Path, kind: Kind) -> HandSource:
 
 
 def _label_file(config: Config, root: Path, kind: Kind) -> tuple[Path, tuple[str, str] | None]:
-    """The label file; with its source and split where the config names them, not a file."""
+    """The label file, and (source, split), or None if the config names a file."""
     source, split, folder = config.labels.source, config.labels.split, root / "labels"
-    # In the free set, the usual source names its own labels.
+    # In the free set, the default source "dexycb" means the free labels.
     there = RELEASED if kind == "release" else {"dexycb": FREE}
     if source in RELEASED:
         if source not in there:
-            raise DataError(f"labels.source: the free set has no labels of {source}; expected dexycb, which names the "
-                            f"free labels there, or --data with {_LAYOUT}")
+            raise DataError(f"labels.source: the free set has no labels of {source}; expected dexycb, which means the "
+                            f"free labels in this set, or --data with {_LAYOUT}")
         chosen = there[source]
         path = folder / chosen.files.get(split, "")
         if os.path.isfile(path):
             return path, (chosen.name, split)
         files = {f"{key} {t}": name for key, named in there.items() for t, name in named.files.items()}
         splits = [text for text, name in files.items() if os.path.isfile(folder / name)]
-        raise DataError(f"{path}: no {split} split of {source} labels here; there is: {', '.join(splits) or 'none'}; "
-                        "only the splits that are there exist")
+        raise DataError(f"{path}: no {split} split of {source} labels here; expected one of the splits that are there: "
+                        f"{', '.join(splits) or 'none'}")
     for path in (Path(os.path.expanduser(source)), folder / source):
         if source and os.path.isfile(path):
             return path, None

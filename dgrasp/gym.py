@@ -1,7 +1,7 @@
-"""The Gymnasium face: `gymnasium.make("dgrasp/Grasp-v0")` and `gymnasium.make_vec("dgrasp/Grasp-v0", num_envs=8)`.
+"""The Gymnasium API: `gymnasium.make("dgrasp/Grasp-v0")` and `gymnasium.make_vec("dgrasp/Grasp-v0", num_envs=8)`.
 
-Importing this module registers the ids. An environment has one grasp label; the vector environment has one
-label per sub-environment and steps them together, in this process or in workers.
+Importing this module registers the id. An environment has one grasp label. The vector environment has one label per
+sub-environment and steps them together, in this process or in workers.
 """
 
 from __future__ import annotations
@@ -27,9 +27,9 @@ from dgrasp.view.meshes import DisplayMeshes, scene_meshes
 
 ENV_ID = "dgrasp/Grasp-v0"
 OBSERVATION_BOUND = 1e4
-"""Above every feature: the fastest are joint speeds (100 rad/s) and the object spins below 1000 rad/s."""
+"""Larger than every feature: joint speeds reach 100 rad/s, and the object spins slower than 1000 rad/s."""
 ACTION_BOUND = 100.0
-"""Residual actions are dimensionless and around 1; a published policy reaches tens."""
+"""Larger than every action: residual actions are dimensionless and about 1; those of a published policy reach tens."""
 
 
 def _config(cfg: Config | str | Path | None, overrides: list[str] | None, kind: str) -> Config:
@@ -37,7 +37,7 @@ def _config(cfg: Config | str | Path | None, overrides: list[str] | None, kind: 
         config = make_config(apply_overrides(cfg.model_dump(), overrides or []))
     else:
         config = load_config(None if cfg is None else find_config(Path(cfg)), overrides)
-    # Every sub-environment that was asked for takes part in every episode, and all episodes are of the same length.
+    # Every sub-environment takes part in every episode, and all episodes have the same length.
     labels = config.labels.model_copy(update={"per_epoch": None, "doubles_every": None})
     values = config.model_copy(update={"labels": labels}).model_dump()
     return make_config(apply_overrides(values, [f"pool.kind={kind}"]))
@@ -50,7 +50,7 @@ def _spaces(observation_size: int, action_size: int) -> tuple[gymnasium.spaces.B
 
 
 def _checked(action: Any, space: gymnasium.Space[Array]) -> Array:
-    """The action as float32; a `ValueError` for another shape, which would be broadcast without a word."""
+    """The action as float32. Raises `ValueError` for a wrong shape, which NumPy might otherwise broadcast silently."""
     given = np.asarray(action, np.float32)
     if given.shape != space.shape:
         raise ValueError(f"actions of shape {given.shape}; expected {space.shape}")
@@ -64,10 +64,11 @@ def _spec(config: Config) -> PoolSpec:
 class GraspGymEnv(gymnasium.Env[Array, Array]):
     """One grasp label as a Gymnasium environment.
 
-    cfg: a `Config`, a YAML file, or None for the defaults; overrides: laid over it, such as
-    ["labels.objects=[004_sugar_box]"].
-    label: index into the chosen labels. Observations are the feature layer's (float32), actions the residual
-    (D,), of task motion (6,), dimensionless. `info["reward_terms"]` holds the weighted terms by name.
+    cfg: a `Config`, a YAML file, or None for the defaults.
+    overrides: config keys that replace those of cfg, such as ["labels.objects=[004_sugar_box]"].
+    label: index into the chosen labels.
+    Observations are the features (float32). Actions are the residuals (D,), or (6,) for task motion, dimensionless.
+    `info["reward_terms"]` holds the weighted reward terms by name.
     """
 
     metadata = {"render_modes": ["rgb_array"], "render_fps": 35}  # noqa: RUF012
@@ -85,7 +86,7 @@ class GraspGymEnv(gymnasium.Env[Array, Array]):
         self._spec = replace(spec, labels=[spec.labels[label]])
         self.render_mode = render_mode
         self._pool = SerialPool(self._spec)
-        # An episode that has ended stays as it is: it may still be drawn, and measured.
+        # The state of an ended episode is kept, so that it can still be rendered and measured.
         self._pool.env.restarts = False
         self.observation_space, self.action_space = _spaces(self._pool.observation_size, self._pool.action_size)
         self._episode = 0
@@ -98,7 +99,7 @@ class GraspGymEnv(gymnasium.Env[Array, Array]):
 
     def step(self, action: Array) -> tuple[Array, float, bool, bool, dict[str, Any]]:
         result = self._pool.step(_checked(action, self.action_space)[None])
-        # What broke is already placed anew; its episode ends with the last sound observation.
+        # A broken simulation has already been reset; its episode ends with the last valid observation.
         observation = (result.final_observation if result.broken[0] else result.observation)[0].copy()
         terms = dict(zip(self._pool.reward_terms, result.reward_terms[0].tolist(), strict=True))
         return (
@@ -125,7 +126,8 @@ class GraspGymEnv(gymnasium.Env[Array, Array]):
 class GraspVectorEnv(gymnasium.vector.VectorEnv[Array, Array, Array]):
     """The first `num_envs` labels as a Gymnasium vector environment; ended episodes restart in the same step.
 
-    All of them take part in every episode: `labels.per_epoch` and `doubles_every` are for the learner of this package.
+    All labels take part in every episode: `labels.per_epoch` and `doubles_every`, meant for this package's trainer, are
+    ignored.
     """
 
     metadata = {"autoreset_mode": AutoresetMode.SAME_STEP}  # noqa: RUF012

@@ -95,4 +95,4 @@ def test_labels_of_another_hand_are_refused_by_their_names(made: Path, capsys: p
     words = ["test", "--baseline", "gt_pd", "--data", "free", f"hand={path}", f"labels.source={made / 'three.npz'}"]
     assert main(words) == 2
     said = capsys.readouterr().err
-    assert "'long_0_joint' there, 'knuckle' here" in said and said.count("\n") == 1
+    assert "'long_0_joint' in the labels, 'knuckle' in the hand" in said and said.count("\n") == 1

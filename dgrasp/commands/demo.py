@@ -1,4 +1,4 @@
-"""`make demo`: PD control on the free labels, the policy where one ships, and a training of minutes from nothing."""
+"""`make demo`: test PD control and the shipped policy on the free labels, then train a policy for a few minutes."""
 
 from __future__ import annotations
 
@@ -33,15 +33,19 @@ from dgrasp.rl.run.record import read_run
 from dgrasp.training import next_run, start_run, train
 
 HELP = """\
-Test PD control, and the policy where one ships with this version, on labels that it has not seen, let the policy carry
-objects to target poses, and train another one from nothing for some minutes, all on the shipped hand, objects and
-labels.
-Leaves a run directory with reports that replay every grasp in 3D (gt_pd.html; policy.html, motion.html), the numbers
-(.json), grasps.gif, and of the training checkpoints and TensorBoard events.
+Run a short demonstration on the shipped hand, objects and labels:
+
+  1. test PD control on labels that no policy was trained on
+  2. test the shipped policy, if there is one, on the same labels
+  3. let the shipped policy carry six objects to target poses
+  4. train another policy from scratch for a few minutes
+
+The run directory receives reports that replay grasps in 3D (gt_pd.html, policy.html, motion.html), their numbers
+(.json), grasps.gif, and the checkpoints and TensorBoard events of the training.
 """
 _OBJECT = "004_sugar_box"
-# Shorter episodes than the recipe's and less weight on the pose: three minutes teach nobody to hold for long, and so
-# updates come sooner.
+# Episodes are shorter and the pose weighs less than in the recipe. Three minutes are too short to learn a long hold,
+# and shorter episodes give more frequent updates.
 _TRAINING = ("name=demo", "data=free", f"labels.objects=[{_OBJECT}]", "env.episode_steps=100", "env.reward.pose=0.1",
              "ppo.max_minutes=3", "ppo.epochs=1000", "checkpoint.every=5", "checkpoint.keep=2", "eval.every=1000",
              "eval.gif=false")  # fmt: skip
@@ -50,7 +54,7 @@ _MOTION = (f"labels.objects=[{', '.join(MOTION_OBJECTS)}]", "motion.targets=near
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The options of `demo`."""
+    """Add the options of `demo`."""
     parser.add_argument("--run", type=Path, metavar="DIR", help="run directory (default: runs/demo_K, a new one)")
     parser.add_argument("overrides", nargs="*", metavar="key=value", help="config keys, such as ppo.max_minutes=10")
 
@@ -71,22 +75,22 @@ def main(arguments: argparse.Namespace) -> int:
     results = _test(saved, run_dir, words)
     if saved is not None:
         _carry(saved, run_dir, words)
-    print(f"\ntraining a policy from nothing on {len(choice.labels.labels)} labels of {_OBJECT} ...", flush=True)
+    print(f"\ntraining a policy from scratch on {len(choice.labels.labels)} labels of {_OBJECT} ...", flush=True)
     train(run_dir, config, choice)
     trained = read_run(run_dir)
     _print(results)
     print("own hand and labels: not comparable with the paper\n\n"
-          f"trained from nothing on {_OBJECT}: {trained.number('control_steps'):,.0f} control steps, success "
-          f"{trained.number('success'):.2f}; longer trainings: docs/results.md")
+          f"trained from scratch on {_OBJECT}: {trained.number('control_steps'):,.0f} control steps, success "
+          f"{trained.number('success'):.2f}; longer training runs: docs/results.md")
     _print_next(run_dir, saved is not None)
     return 0
 
 
 def _test(saved: SavedPolicy | None, run_dir: Path, words: list[str]) -> dict[str, Result]:
-    """PD control, and the policy where one ships, on one test label of each object."""
+    """Test PD control, and the shipped policy if there is one, on one test label of each object."""
     config = _config_of(saved, [*_TEST, *words])
     choice, results = resolve(config), {}
-    print(f"\n{len(choice.labels.labels)} labels that no policy was trained on", flush=True)
+    print(f"\ntesting on {len(choice.labels.labels)} labels that no policy was trained on", flush=True)
     methods: list[Method] = [PdBaseline()]
     if saved is not None:
         methods.append(PolicyMethod(saved.policy))
@@ -102,7 +106,7 @@ def _test(saved: SavedPolicy | None, run_dir: Path, words: list[str]) -> dict[st
 
 
 def _carry(saved: SavedPolicy, run_dir: Path, words: list[str]) -> None:
-    """Motion synthesis with the paper's six objects."""
+    """Run motion synthesis with the paper's six objects."""
     config = _config_of(saved, [*_TEST, *_MOTION, *words])
     choice = resolve(config)
     print("carrying six objects to target poses ...", flush=True)
@@ -110,8 +114,8 @@ def _carry(saved: SavedPolicy, run_dir: Path, words: list[str]) -> None:
     output.write_json(result, run_dir / "motion.json")
     write_report(run_dir / "motion.html", result, records, display_meshes(choice, spec))
     means = result.mean_over_labels
-    print(f"{means['carried']:.0%} of them are still in the hand; {100 * means['mpe_m']:.1f} cm from their targets "
-          "on average, lost ones included")
+    print(f"{means['carried']:.0%} of them are still in the hand; mean distance to the target "
+          f"{100 * means['mpe_m']:.1f} cm, dropped objects included")
 
 
 def _config_of(saved: SavedPolicy | None, words: list[str]) -> Config:
@@ -119,7 +123,7 @@ def _config_of(saved: SavedPolicy | None, words: list[str]) -> Config:
 
 
 def _print(results: dict[str, Result]) -> None:
-    """One table: success of both methods per object."""
+    """Print one table: the success of each method per object."""
     first = next(iter(results.values()))
     table = Table(title=f"success on the free set's test labels, window {first.window_s:g} s", title_justify="left")
     table.add_column("object")
@@ -136,13 +140,13 @@ def _print(results: dict[str, Result]) -> None:
 
 
 def _print_next(run_dir: Path, shipped: bool) -> None:
-    # An environment that is not active is named by its folder, so that the lines can be typed as they are.
+    # If the virtual environment is not active, its folder is prefixed, so that the commands work as printed.
     bin_dir = "" if shutil.which("dgrasp") else os.path.relpath(Path(sys.executable).parent) + os.sep
     print(
-        f"\nlook at it:       {run_dir / ('policy.html' if shipped else 'gt_pd.html')} in a browser\n"
-        f"the training:     {bin_dir}tensorboard --logdir {run_dir.parent}\n"
-        f"train longer:     {bin_dir}dgrasp train --resume {run_dir} ppo.max_minutes=60\n"
-        f"all objects:      {bin_dir}dgrasp train --cfg cfg/fast.yaml --data free\n"
-        + f"test the shipped: {bin_dir}dgrasp test --run pretrained --data free --split test\n" * shipped +
-        f"your own labels:  {bin_dir}dgrasp test --baseline gt_pd --labels FILE"
+        f"\nview the grasps:      open {run_dir / ('policy.html' if shipped else 'gt_pd.html')} in a browser\n"
+        f"view the training:    {bin_dir}tensorboard --logdir {run_dir.parent}\n"
+        f"train longer:         {bin_dir}dgrasp train --resume {run_dir} ppo.max_minutes=60\n"
+        f"train on all objects: {bin_dir}dgrasp train --cfg cfg/fast.yaml --data free\n"
+        + f"test shipped policy:  {bin_dir}dgrasp test --run pretrained --data free --split test\n" * shipped +
+        f"test your own labels: {bin_dir}dgrasp test --baseline gt_pd --labels FILE"
     )

@@ -1,4 +1,4 @@
-"""`dgrasp export`: stored sequences as plain arrays, animations or films."""
+"""`dgrasp export`: convert stored sequences to plain arrays, animations or videos."""
 
 from __future__ import annotations
 
@@ -15,9 +15,10 @@ FORMATS = ("npz", "glb", "gif", "mp4")
 HELP = """\
 Export evaluated sequences that `test --records DIR` has stored.
 
-  npz   joint angles, wrist, object, contacts and forces of each step; MANO's parameters where the hand is MANO's
-  glb   an animation of hand, object and table for Blender, browsers and other viewers of glTF
-  gif   a film; mp4 too, with imageio-ffmpeg (pip install 'dgrasp[video]')
+  npz   joint angles, wrist, object, contacts and forces of each step; MANO parameters if the hand was made from MANO
+  glb   an animation of hand, object and table for Blender, browsers and other glTF viewers
+  gif   a video
+  mp4   a video; needs imageio-ffmpeg (pip install 'dgrasp[video]')
 
 examples:
   dgrasp test --baseline gt_pd --records sequences
@@ -27,12 +28,13 @@ examples:
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The arguments of `export`."""
+    """Add the arguments of `export`."""
     parser.add_argument("source", type=Path, metavar="FILE|DIR", help="a stored sequence, or a folder of them")
-    parser.add_argument("--format", choices=FORMATS, help="what to write (default: by the name of --out)")
-    parser.add_argument("--out", type=Path, required=True, metavar="FILE|DIR", help="a new file; for a folder a folder")
+    parser.add_argument("--format", choices=FORMATS, help="what to write (default: from the suffix of --out)")
+    parser.add_argument("--out", type=Path, required=True, metavar="FILE|DIR",
+                        help="a new file, or a folder if the source is one")
     parser.add_argument("--mano", type=Path, metavar="FILE",
-                        help="the MANO file that the hand was made from, for npz with MANO's translation")
+                        help="the MANO file that the hand was made from; adds MANO's translation to npz")
 
 
 def main(arguments: argparse.Namespace) -> int:
@@ -42,7 +44,7 @@ def main(arguments: argparse.Namespace) -> int:
     if kind not in FORMATS:
         raise ConfigError(f"--out {arguments.out}: no format in its name; expected --format {'|'.join(FORMATS)}")
     if arguments.mano is not None and kind != "npz":
-        raise ConfigError(f"--mano adds MANO's translation to npz; {kind} has none; leave it out")
+        raise ConfigError(f"--mano adds MANO's translation to npz; {kind} cannot hold it; leave out --mano")
     many = arguments.source.is_dir()
     targets = [arguments.out / f"{file.stem}.{kind}" if many else arguments.out for file in files]
     there = [target for target in targets if target.exists()]
@@ -65,11 +67,11 @@ def _write(kind: str, path: Path, sequence: StoredSequence, mano: Path | None) -
 
 
 def _said(kind: str, sequence: StoredSequence, mano: Path | None) -> str:
-    """What the user should know of MANO's parameters in an npz."""
+    """A remark on the MANO parameters of an npz, for the line that names the file; empty for other formats."""
     if kind != "npz":
         return ""
     if sequence.about["mano"] is None:
         return f"; MANO's parameters: {arrays.mano_note(sequence)}"
     if mano is None and "root_joint" not in sequence.about["mano"]:
-        return "; without mano_transl, which needs MANO's root joint: give --mano FILE"
+        return "; without mano_transl, which needs MANO's root joint: add --mano FILE"
     return ""

@@ -1,4 +1,4 @@
-"""`dgrasp hand build`: a hand for the physics from a MANO file, or from the free hand's skin."""
+"""`dgrasp hand build`: build a hand for the physics from a MANO file, or from the free hand's skin."""
 
 from __future__ import annotations
 
@@ -20,29 +20,32 @@ from dgrasp.labels.source import load_labels, sha256_of
 from dgrasp.types import Array
 
 HELP = """\
-Build a hand for the physics from MANO_RIGHT.pkl or MANO_LEFT.pkl, or with --free from the free hand's skin that comes
-with the package: 16 closed part meshes, collision shapes, masses, 51 joints with limits, as a URDF in a new folder. Use
-it with hand=DIR. A MANO file is read without chumpy, and nothing in it is executed. A hand built from MANO derives from
-it: its licence forbids to pass it on. One built with --free is as free as the project.
+Build a hand for the physics from MANO_RIGHT.pkl or MANO_LEFT.pkl, or, with --free, from the free hand's skin that
+comes with the package. Writes a URDF with 16 closed part meshes, collision shapes, masses and 51 joints with limits to
+a new folder. Use the hand with hand=DIR. A MANO file is read without chumpy, and nothing in it is executed.
+MANO's licence covers a hand built from MANO: you may not redistribute it. A hand built with --free has the project's
+licence.
 """
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The options of `hand build`."""
+    """Add the options of `hand build`."""
     origin = parser.add_mutually_exclusive_group(required=True)
     origin.add_argument("--mano", type=Path, metavar="FILE", help="MANO_RIGHT.pkl or MANO_LEFT.pkl")
-    origin.add_argument("--free", action="store_true", help="the free hand's skin (docs/hands.md lists its betas)")
+    origin.add_argument("--free", action="store_true",
+                        help="use the free hand's skin (docs/hands.md lists its betas)")
     parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="the new folder")
     parser.add_argument("--betas", nargs="+", default=[], metavar="B",
-                        help="shape parameters: numbers, or one YAML file with a list or an entry betas, such as "
-                             "DexYCB's mano.yml (default: the mean shape)")
+                        help="shape parameters: numbers, or one YAML file that holds a list or an entry betas, such "
+                             "as DexYCB's mano.yml (default: the mean shape)")
     parser.add_argument("--side", choices=("right", "left"),
-                        help="whose hand: mirrored where the file's is the other one (default: the file's)")
+                        help="side of the hand; mirrors the model if the file has the other side (default: the "
+                             "file's side)")
     parser.add_argument("--shapes", choices=("primitives", "hulls"), default="primitives",
                         help="collision shapes: capsules and a box for the palm (default), or convex hulls")
     parser.add_argument("--limits", default="table", metavar="table|LABELS",
-                        help="joint limits: an anatomical table (default), or the range of a label file's poses, of a "
-                             "hand of the model's side, plus 0.1 rad")
+                        help="joint limits: an anatomical table (default), or the range of the poses in a label file, "
+                             "widened by 0.1 rad; its hand must have the model's side")
 
 
 def main(arguments: argparse.Namespace) -> int:
@@ -61,8 +64,8 @@ def main(arguments: argparse.Namespace) -> int:
     print_report([open_hand(str(arguments.out))])
     print(f"wrote {arguments.out}: hand {identity}; use it with hand={arguments.out}; licence: {licence}")
     if model.side == "left" and len(betas) and np.any(betas):
-        print("note: MANO's left file has the right hand's shape basis, not mirrored along x; for a left hand of these "
-              "betas that mirrors the right one, build MANO_RIGHT.pkl with --side left")
+        print("note: MANO's left file uses the right hand's shape basis without mirroring it along x; for a left hand "
+              "that mirrors the right hand of these betas, build MANO_RIGHT.pkl with --side left")
     return 0
 
 
@@ -81,9 +84,9 @@ def read_betas(words: list[str]) -> Array:
         content = yaml.safe_load(path.read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError, yaml.YAMLError, RecursionError, ValueError) as error:
         raise DataError(f"{path}: betas cannot be read ({' '.join(str(error).split())[:200]}); expected numbers, or a "
-                        "YAML file with a list of them") from None
+                        "YAML file with a list of numbers") from None
     values = content.get("betas") if isinstance(content, dict) else content
     plain = isinstance(values, list) and all(isinstance(v, (int, float)) and not isinstance(v, bool) for v in values)
     if not plain or not values:
-        raise DataError(f"{path}: no betas; expected a list of numbers, or an entry betas that is one")
+        raise DataError(f"{path}: no betas; expected a list of numbers, or an entry betas with such a list")
     return np.array(values, dtype=float)

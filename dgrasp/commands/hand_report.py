@@ -1,4 +1,4 @@
-"""`dgrasp hand report`: the figures of a hand, or of two beside each other."""
+"""`dgrasp hand report`: print the figures of a hand, or of two hands side by side."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from dgrasp.hand.store import open_hand
 
 HELP = """\
 Print volumes, masses, joint offsets and limits of a hand, or of two hands side by side.
-A hand is "free", a folder written by `dgrasp hand build`, or a URDF file such as the authors' mano_mean.urdf.
+HAND is "free", a folder that `dgrasp hand build` wrote, or a URDF file such as the authors' mano_mean.urdf.
 """
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The arguments of `hand report`."""
+    """Add the arguments of `hand report`."""
     parser.add_argument("hand", metavar="HAND")
     parser.add_argument("other", nargs="?", metavar="HAND2", help="a second hand to compare with")
 

@@ -1,4 +1,4 @@
-"""`dgrasp labels check`: what is in a label file, and what is wrong with it."""
+"""`dgrasp labels check`: show what a label file holds and what is wrong with it."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from dgrasp.errors import DataError
 from dgrasp.labels.quality.measure import Finding
 
 HELP = """\
-Read a label file and measure every label on the hand and the objects that it would be used with: counts, frames,
-units, joint limits, penetration (cm3) and distance (mm), goal contacts, height over the table, whether contacts could
-carry the object's weight, duplicates.
+Read a label file and check every label against the hand and the objects that it would be used with. The checks cover
+counts, frames, units, joint limits, penetration (cm3), distance (mm), goal contacts, height above the table, whether
+the contacts could carry the object's weight, and duplicates.
 
 examples:
   dgrasp labels check DIR/labels/dexycb_train_labels.pkl --data DIR
@@ -25,17 +25,18 @@ _WORST = 10
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The options of `labels check`."""
+    """Add the options of `labels check`."""
     parser.add_argument("file", type=Path, metavar="FILE", help="a label file")
-    parser.add_argument("--data", metavar="free|DIR", help="whose objects and hand (default: as for training)")
-    parser.add_argument("--hand", metavar="HAND", help="the hand, where it is not the data's own")
-    parser.add_argument("--mano", metavar="FILE", help="the MANO file of the hand: measure on its skin")
+    parser.add_argument("--data", metavar="free|DIR",
+                        help="the data with the objects and the hand (default: as for training)")
+    parser.add_argument("--hand", metavar="HAND", help="the hand, if it is not the hand of the data")
+    parser.add_argument("--mano", metavar="FILE", help="the hand's MANO file; measures on MANO's skin")
     parser.add_argument("--html", nargs="?", const="", metavar="PAGE",
-                        help="write a page with a picture per label, worst first (default name: FILE with .html)")
+                        help="write a page with a picture of each label, worst first (default: FILE with .html)")
 
 
 def main(arguments: argparse.Namespace) -> int:
-    """Check the file; returns the exit code, 0 also where labels have problems."""
+    """Check the file; returns the exit code, which is 0 even if labels have problems."""
     from dgrasp.build import build_hand, build_objects
     from dgrasp.config.experiment import make_config
     from dgrasp.data import resolve
@@ -79,7 +80,7 @@ def main(arguments: argparse.Namespace) -> int:
 
 
 def summary(findings: list[Finding], kind: str) -> list[str]:
-    """The counts of the whole file. kind: what the hand's surface is made of."""
+    """Lines with the counts of the whole file. kind: the kind of the hand's surface (`HandSurface.kind`)."""
     labels = [finding.label for finding in findings]
     volumes = [f.penetration_cm3 for f in findings if f.penetration_cm3 is not None]
     wrong = [finding for finding in findings if finding.problems]
@@ -92,14 +93,14 @@ def summary(findings: list[Finding], kind: str) -> list[str]:
         f"{sum(f.distance_mm > 0.0 for f in findings)} hands do not reach the object",
         f"{sum(f.beyond_limits > 0 for f in findings)} labels have angles beyond the hand's limits, "
         f"{statistics.fmean(f.beyond_limits for f in findings):.1f} of {len(labels[0].hand_pose)} on average",
-        f"{sum(f.sunk_mm > 0.0 for f in findings)} hands would reach below the table's top where their objects start; "
-        f"{sum(not f.carries for f in findings)} cannot carry the weight by what they touch; "
+        f"{sum(f.sunk_mm > 0.0 for f in findings)} hands would reach below the table's top at their object's start; "
+        f"{sum(not f.carries for f in findings)} cannot carry the object's weight with their contacts; "
         f"{sum(f.duplicate_of is not None for f in findings)} duplicates",
         f"{len(wrong)} labels with problems",
     ]
     if tables:
-        lines.insert(3, f"objects' lowest points {min(tables):+.1f} to {max(tables):+.1f} mm over the table's top, "
-                        f"median {statistics.median(tables):+.1f}")
+        lines.insert(3, f"the objects' lowest points are {min(tables):+.1f} to {max(tables):+.1f} mm above the table's "
+                        f"top, median {statistics.median(tables):+.1f}")
     return lines
 
 

@@ -1,4 +1,4 @@
-"""`dgrasp labels import dexycb`: grasp labels from DexYCB's recordings."""
+"""`dgrasp labels import dexycb`: make grasp labels from DexYCB's recordings."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from dgrasp.labels.recorded.common import add_common, finish, make_maker, progre
 from dgrasp.labels.source import sha256_of
 
 HELP = """\
-Make grasp labels from DexYCB, as the paper does: of each right-handed sequence the first frame in which the object has
-moved, with the approach before it, in a world whose table is found by the calibration's tag. Sequences that give no
-label are listed with the reason. What was made once is kept in a cache (DGRASP_CACHE).
+Make grasp labels from DexYCB, as the paper does. The label of a right-handed sequence is the first frame in which the
+object has moved, together with the approach before it. The tag of the calibration gives the position of the table.
+Sequences that give no label are listed with the reason. Results are cached (DGRASP_CACHE).
 
 example:
   dgrasp labels import dexycb $DEX_YCB_DIR --mano MANO_RIGHT.pkl --hand hands/mine --split train --out train.npz
@@ -27,20 +27,20 @@ example:
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The options of `labels import dexycb`."""
+    """Add the options of `labels import dexycb`."""
     parser.add_argument("source", nargs="?", type=Path, metavar="DIR", help="DexYCB's folder (default: DEX_YCB_DIR)")
     add_common(parser, objects="default: DexYCB's models/")
     parser.add_argument("--split", choices=("train", "test", "all"), default="all",
                         help="75%% or 25%% of each subject's sequences (default: all)")
-    parser.add_argument("--seed", type=int, default=1, help="of the split (default: 1)")
+    parser.add_argument("--seed", type=int, default=1, help="seed of the split (default: 1)")
     parser.add_argument("--displacement", type=float, default=dexycb_grasps.DISPLACEMENT, metavar="M",
-                        help="m; the grasp is the first frame with the object farther than this from where it lay "
-                             "(default: %(default)s)")
+                        help="m; the grasp is the first frame with the object farther than this from its initial "
+                             "position (default: %(default)s)")
     parser.add_argument("--start-distance", type=float, default=dexycb_grasps.START_DISTANCE, metavar="M",
-                        help="m; the approach starts where the wrist comes this near to the object (default: "
+                        help="m; the approach starts when the wrist comes this close to the object (default: "
                              "%(default)s)")
     parser.add_argument("--mirror-left", type=Path, metavar="MANO_LEFT.pkl",
-                        help="take left-handed sequences as well, in the mirror; needs MANO's left hand")
+                        help="also import left-handed sequences, mirrored; needs MANO's left hand")
 
 
 def main(arguments: argparse.Namespace) -> int:
@@ -56,7 +56,7 @@ def main(arguments: argparse.Namespace) -> int:
         raise DataError(f"--seed {arguments.seed}: expected 0 or more")
     maker = make_maker(arguments, [root / "models"])
     if maker.model.side != "right":
-        raise DataError(f"--mano {arguments.mano}: MANO's left hand; expected MANO_RIGHT.pkl, and the left one with "
+        raise DataError(f"--mano {arguments.mano}: MANO's left hand; expected MANO_RIGHT.pkl; give the left hand with "
                         "--mirror-left")
     left = None if arguments.mirror_left is None else read_mano(arguments.mirror_left)
     if left is not None and left.side != "left":
@@ -72,9 +72,9 @@ def main(arguments: argparse.Namespace) -> int:
     print(f"{root}: {imported.sequences} sequences, {imported.in_split} in the split {arguments.split} (seed "
           f"{arguments.seed}); {len(imported.labels)} labels, {imported.cached} results from the cache")
     if imported.flipped:
-        print(f"tags whose z points into the table, turned about x: {imported.flipped}")
+        print(f"tags whose z axis points into the table (turned about x): {imported.flipped}")
     if imported.no_start:
-        print(f"labels without an approach, because the hand was first seen nearer than "
+        print(f"labels without an approach, because the hand was first seen closer than "
               f"{arguments.start_distance:g} m: {imported.no_start}")
     return finish(arguments, imported.labels, imported.skipped, {
         "made by": "dgrasp labels import dexycb", "split": arguments.split, "seed": arguments.seed,

@@ -1,4 +1,4 @@
-"""`dgrasp labels import mano`: grasp labels from a table of MANO parameters and object poses."""
+"""`dgrasp labels import mano`: make grasp labels from a table of MANO parameters and object poses."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ from dgrasp.scene.standing import PLACE_XY
 
 HELP = """\
 Make grasp labels from a .npz or .csv of MANO parameters and object poses, such as the raw outputs of GraspTTA and
-ContactOpt. docs/labels.md lists the names of arrays and columns. Where data sets differ in what the numbers mean,
-nothing is assumed: say it, or give the key points (`joints`), by which it is found.
+ContactOpt. docs/labels.md lists the names of arrays and columns. Data sets follow different conventions, and none is
+assumed: state them with the options below, or provide the key points (`joints`), from which they are found.
 
 example:
   dgrasp labels import mano grasps.npz --mano MANO_RIGHT.pkl --hand hands/mine --objects YCB_models --out mine.npz \\
@@ -29,30 +29,30 @@ example:
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The options of `labels import mano`."""
+    """Add the options of `labels import mano`."""
     parser.add_argument("source", type=Path, metavar="FILE", help="a .npz or .csv")
-    add_common(parser, objects="needed")
+    add_common(parser, objects="required")
     meanings = {
-        "pose": "what hand_pose holds", "mean": "from where it counts: the flat hand or MANO's mean pose",
+        "pose": "what hand_pose holds", "mean": "zero of hand_pose: the flat hand or MANO's mean pose",
         "fingers": "index, middle, little, ring, thumb (mano) or index, middle, ring, little, thumb (project)",
-        "transl": "MANO's translation of the mesh, or the wrist's position", "quaternion": "order of object_rotation",
+        "transl": "MANO's translation of the mesh, or the wrist's position", "quaternion": "order in object_rotation",
     }  # fmt: skip
     for question, meaning in meanings.items():
         parser.add_argument(f"--{question}", choices=CHOICES[question], help=meaning)
     parser.add_argument("--mean-shape", action="store_true", help="the hands have MANO's mean shape (no betas)")
-    parser.add_argument("--object", metavar="NAME", help="the object of all rows, where the table has no names")
+    parser.add_argument("--object", metavar="NAME", help="the object of all rows, if the table has no names")
     parser.add_argument("--object-at-origin", action="store_true",
-                        help="the objects are where the hands' frame has its origin, unturned (no object poses)")
+                        help="the objects lie at the origin of the hands' frame, not rotated (no object poses)")
     parser.add_argument("--table", type=float, metavar="Z",
-                        help="m; z of the table's top in a frame whose z is up (default: there is no table, and the "
-                             "object is put onto one as its own frame has it)")
-    parser.add_argument("--licence", default=licences.MANO, help="the terms of the labels (default: MANO's)")
+                        help="m; z of the table's top in a frame whose z is up (default: no table; the object is later "
+                             "placed on one in the orientation of its own frame)")
+    parser.add_argument("--licence", default=licences.MANO, help="the licence of the labels (default: MANO's)")
 
 
 def main(arguments: argparse.Namespace) -> int:
     """Import and write the labels; returns the exit code."""
     if arguments.objects is None:
-        raise DataError("--objects: give the folder of the objects' meshes, which the contacts are taken from")
+        raise DataError("--objects is missing; expected the folder of the objects' meshes, which give the contacts")
     if arguments.table is not None and not (math.isfinite(arguments.table) and abs(arguments.table) <= 10.0):
         raise DataError(f"--table {arguments.table:g}: expected metres, at most 10")
     maker = make_maker(arguments, [])
@@ -71,7 +71,7 @@ def main(arguments: argparse.Namespace) -> int:
         # Without a table the world is the object's frame, as for the labels that the authors published.
         T_WO, T_WH = np.eye(4), T_OH
         if arguments.table is not None:
-            # Where on the table the frame has its origin is nobody's choice; the object stands where others do.
+            # The position of the frame's origin on the table is arbitrary, so the object goes to the usual place.
             T_WA = np.eye(4)
             T_WA[:3, 3] = *(np.array(PLACE_XY) - grasps.T_AO[row][:2, 3]), TABLE_TOP - arguments.table
             T_WO, T_WH = T_WA @ grasps.T_AO[row], T_WA @ grasps.T_AH[row]

@@ -1,4 +1,4 @@
-"""`dgrasp labels make`: static grasps synthesised for a hand and objects, as a label file."""
+"""`dgrasp labels make`: synthesise static grasps for a hand and objects, and write them as a label file."""
 
 from __future__ import annotations
 
@@ -32,7 +32,8 @@ from raisim_like.registry import BATCHES, find_engine
 
 HELP = """\
 Make static grasp labels for a hand and objects by gradient descent (contact, force closure, penetration, joint limits,
-a prior of natural hands, table), try them in the simulator under gt_pd, and keep diverse ones, of which some hold.
+a prior of natural hands, table). The candidates are tried in the simulator under gt_pd; a diverse selection is kept,
+in which some grasps hold.
 
 examples:
   dgrasp labels make --objects 004_sugar_box 024_bowl --number 25 --out mine.npz --engine mujoco
@@ -43,26 +44,27 @@ MAX_NUMBER = 1000
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The options of `labels make`."""
+    """Add the options of `labels make`."""
     parser.add_argument("--objects", nargs="+", required=True, metavar="NAME",
-                        help="of the 20, or added by `dgrasp object add`; all: the 20")
+                        help="some of the 20 objects, or objects added by `dgrasp object add`; all: the 20")
     parser.add_argument("--number", type=int, required=True, metavar="N", help="labels per object")
     parser.add_argument("--out", type=Path, required=True, metavar="FILE.npz", help="the label file to write")
     parser.add_argument("--test", type=int, default=0, metavar="N",
-                        help="so many labels, over all objects, go to FILE_test.npz, the others to FILE_train.npz")
+                        help="write N labels, over all objects, to FILE_test.npz and the others to FILE_train.npz")
     parser.add_argument("--hand", metavar="HAND",
-                        help='"free", a folder of `dgrasp hand build`, or a URDF file (default: that of --data)')
-    parser.add_argument("--data", default="free", metavar="free|DIR", help="whose 20 objects (default: free)")
+                        help='"free", a folder of `dgrasp hand build`, or a URDF file (default: the hand of --data)')
+    parser.add_argument("--data", default="free", metavar="free|DIR",
+                        help="the data with the 20 objects (default: free)")
     parser.add_argument("--store", type=Path, metavar="DIR", help="folder of added objects (default: data/objects)")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--engine", choices=list(BATCHES), default="pybullet",
-                        help="tries the grasps (default: pybullet; mujoco is five times faster)")
+                        help="engine that tries the grasps (default: pybullet; mujoco is five times faster)")
     parser.add_argument("--workers", type=int, metavar="N", help="processes (default: one per core)")
 
 
 @dataclass(frozen=True)
 class _Task:
-    """One object's labels, for a process of its own."""
+    """The job of one process: the labels of one object."""
 
     hand: str
     model: ObjectModel
@@ -70,7 +72,7 @@ class _Task:
     seed: int
     config: Config
     file: str
-    """The name under which its labels are kept until all objects are done."""
+    """Name of the file that keeps the labels until all objects are done."""
 
 
 def main(arguments: argparse.Namespace) -> int:
@@ -84,7 +86,7 @@ def main(arguments: argparse.Namespace) -> int:
     todo = [task for task in tasks if not (parts / task.file).is_file()]
     missing = {task.file for task in todo}
     if len(todo) < len(tasks):
-        print(f"{parts}: {len(tasks) - len(todo)} objects are there from a run that was stopped", flush=True)
+        print(f"{parts}: {len(tasks) - len(todo)} objects are there from an interrupted run", flush=True)
     with ProcessPoolExecutor(workers, multiprocessing.get_context("spawn"), _one_thread) as pool:
         results = iter(pool.map(_make, todo))
         for task in tasks:
@@ -92,7 +94,7 @@ def main(arguments: argparse.Namespace) -> int:
             made.append(labels)
             figures[task.model.name] = row
             print(f"{task.model.name}: {len(labels)} labels, {row['held']} hold under gt_pd ({row['found_held']:.2f} "
-                  f"before the choice, {row['best_quarter_held']:.2f} of the best quarter); penetration "
+                  f"before the selection, {row['best_quarter_held']:.2f} of the best quarter); penetration "
                   f"{row['penetration_cm3']:.2f} cm3, {row['touching']:.1f} parts touch, {row['contacts']:.1f} goal "
                   f"contacts, joints {row['diversity_deg']:.0f} deg apart; {row['cpu_s']:.0f} s of CPU", flush=True)
     held = sum(row["held"] for row in figures.values()) / sum(map(len, made))
@@ -105,7 +107,7 @@ def main(arguments: argparse.Namespace) -> int:
 
 
 def _tasks(arguments: argparse.Namespace) -> tuple[list[_Task], NamedHand]:
-    """One task per object, everything that can be refused refused."""
+    """One task per object, and the hand; raises `ConfigError` or `DataError` for bad options."""
     out = arguments.out
     if out.suffix != ".npz" or not out.parent.is_dir():
         raise DataError(f"--out {out}: expected the name of a .npz file in a folder that exists")
@@ -129,7 +131,7 @@ def _tasks(arguments: argparse.Namespace) -> tuple[list[_Task], NamedHand]:
 
 
 def _part_name(model: ObjectModel, same: list[Any]) -> str:
-    """Names an object's labels by what they depend on."""
+    """File name of an object's labels, with a hash of all that they depend on."""
     digest = hashlib.sha256(f"{model!r} {same}".encode()).hexdigest()
     return f"{model.name}-{digest[:12]}.npz"
 
@@ -137,7 +139,7 @@ def _part_name(model: ObjectModel, same: list[Any]) -> str:
 def _kept(
     path: Path, hand: NamedHand, made: tuple[list[GraspLabel], dict[str, Any]] | None
 ) -> tuple[list[GraspLabel], dict[str, Any]]:
-    """Labels and figures of one object: written to the file, or read from it where there are none."""
+    """Labels and figures of one object: written to the file if `made` is given, else read from it."""
     from dgrasp.labels.formats.native import read_native_with_meta, write_native
 
     if made is None:
@@ -156,7 +158,7 @@ def _require_engine(name: str) -> None:
 
 
 def _object(name: str, data: Path | None, store: Path | None, config: Config) -> ObjectModel:
-    """An added object where there is one of that name, else one of the 20."""
+    """The added object of that name if there is one, else one of the 20."""
     physics, parts = config.physics, config.engine == "mujoco"
     folder = store or default_store()
     if (folder / name).is_dir():
@@ -172,13 +174,13 @@ def _object(name: str, data: Path | None, store: Path | None, config: Config) ->
 
 
 def _files(arguments: argparse.Namespace, objects: int) -> list[Path]:
-    """The file, or those of both splits."""
+    """The label file, or the files of both splits."""
     total, test, out = objects * arguments.number, arguments.test, arguments.out
     if test == 0:
         return [out]
     if not objects <= test <= total - objects:
-        raise ConfigError(f"--test {test}: expected {objects} to {total - objects} of {total} labels, so that each "
-                          "object has some in both files")
+        raise ConfigError(f"--test {test}: expected {objects} to {total - objects} of {total} labels, so that both "
+                          "files have labels of each object")
     return [out.with_name(f"{out.stem}_{split}.npz") for split in ("train", "test")]
 
 
@@ -189,7 +191,7 @@ def _one_thread() -> None:
 
 
 def _make(task: _Task) -> tuple[list[GraspLabel], dict[str, Any]]:
-    """The labels of one object and their figures."""
+    """Synthesise the labels of one object; returns them and their figures."""
     from dgrasp.synthesis.report import figures
     from dgrasp.synthesis.synthesiser import Synthesiser
 

@@ -1,4 +1,4 @@
-"""`dgrasp object add`: objects for the physics from mesh files."""
+"""`dgrasp object add`: make objects for the physics from mesh files."""
 
 from __future__ import annotations
 
@@ -20,8 +20,9 @@ from dgrasp.objects.names import YCB_NAMES
 from dgrasp.objects.store import NAME, PICTURE_FILE, default_store
 
 HELP = """\
-Add an object from a mesh (OBJ, STL, PLY, GLB), or all of a folder: units checked, mesh repaired, collision shapes
-fitted, mass and inertia worked out, a picture drawn. Labels whose object has that name train and test from then on.
+Add an object from a mesh (OBJ, STL, PLY, GLB), or every mesh of a folder. The command checks the units, repairs the
+mesh, fits collision shapes, computes mass and inertia, and draws a picture. Labels that name the object can then be
+used to train and test.
 
 examples:
   dgrasp object add cup.stl --units mm --mass 0.21
@@ -31,23 +32,23 @@ examples:
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The options of `object add`."""
+    """Add the options of `object add`."""
     parser.add_argument("mesh", type=Path, metavar="MESH|FOLDER", help=f"a file ({', '.join(FORMATS)}), or a folder")
     parser.add_argument("--name", help="the object's name in labels (default: the file's name)")
     parser.add_argument("--units", choices=("auto", *SCALES), default="auto",
-                        help="the file's unit of length (default: the only one that gives an object of 1 to 50 cm)")
+                        help="the file's unit of length (default: the only unit that gives an object of 1 to 50 cm)")
     weight = parser.add_mutually_exclusive_group()
     weight.add_argument("--mass", type=float, metavar="KG", help="the object's mass")
     weight.add_argument("--density", type=float, metavar="KG/M3", default=DENSITY,
-                        help=f"mass by the mesh's volume (default: {DENSITY:g})")
+                        help=f"compute the mass from the mesh's volume (default: {DENSITY:g})")
     parser.add_argument("--center", type=float, nargs=3, metavar=("X", "Y", "Z"),
                         help="centre of mass, m in the mesh's frame (default: a homogeneous body's)")
     parser.add_argument("--inertia", type=float, nargs=6, metavar=("XX", "YY", "ZZ", "XY", "XZ", "YZ"),
                         help="inertia about the centre of mass, kg m2 (default: a homogeneous body's)")
     parser.add_argument("--shape", choices=("auto", *PRIMITIVES, "parts", "mesh"), default="auto",
-                        help="what collides: a primitive, convex parts, triangles (default: the first that fits)")
+                        help="collision shape: a primitive, convex parts or triangles (default: the first that fits)")
     parser.add_argument("--overlap", type=float, default=OVERLAP, metavar="SHARE",
-                        help=f"volume overlap from which a primitive is taken (default: {OVERLAP})")
+                        help=f"smallest volume overlap at which a primitive is used (default: {OVERLAP})")
     parser.add_argument("--to", type=Path, metavar="DIR", help="where NAME/ is written (default: data/objects)")
     parser.add_argument("--replace", action="store_true", help="replace an object of that name")
 
@@ -67,7 +68,7 @@ def main(arguments: argparse.Namespace) -> int:
             if not NAME.fullmatch(name) or name in YCB_NAMES.values():
                 why = "is one of the 20" if name in YCB_NAMES.values() else "expected letters, digits and _ . + -"
                 raise DataError(f"{file}: the name {name[:100]!r} cannot be given to an object ({why}); choose another "
-                                "with --name")
+                                "name with --name")
             added.append(add_object(file, to, name, arguments.units, _mass(arguments), arguments.shape,
                                     arguments.overlap, arguments.replace))
         except DataError as error:
@@ -88,7 +89,7 @@ def _files(arguments: argparse.Namespace) -> list[tuple[Path, str]]:
         return [(path, arguments.name or _clean(path.stem))]
     for option in ("name", "center", "inertia"):
         if getattr(arguments, option) is not None:
-            raise DataError(f"--{option}: {path} is a folder, and that is of one object; add the file alone")
+            raise DataError(f"--{option}: {path} is a folder, but this option describes one object; add the file alone")
     files = sorted(p for p in path.rglob("*") if p.is_file() and p.suffix.lower()[1:] in FORMATS)
     if not files:
         raise DataError(f"{path}: no mesh in this folder; expected files of type {', '.join(FORMATS)}")
@@ -96,7 +97,7 @@ def _files(arguments: argparse.Namespace) -> list[tuple[Path, str]]:
     for index, (file, name) in enumerate(named):
         other = next((earlier for earlier, taken in named[:index] if taken == name), None)
         if other is not None:
-            raise DataError(f"{file}: its object would be called {name!r}, as that of {other}; rename one of them")
+            raise DataError(f"{file}: its object would be called {name!r}, like that of {other}; rename one of them")
     return named
 
 
@@ -114,7 +115,7 @@ def _mass(arguments: argparse.Namespace) -> Mass:
 
 
 def figures_row(meta: dict[str, Any]) -> list[str]:
-    """An object's figures as they stand in the table."""
+    """The table row of an object's figures."""
     figures = meta["figures"]
     low, high = np.array(figures["bounds_m"])
     sides = " ".join(f"{1000 * side:.1f}" for side in high - low)
@@ -127,9 +128,9 @@ def _print(added: list[Added]) -> None:
     table = Table("object", "unit", "sides mm", "faces", "cm3", "g", "collides as", "overlap", "remarks")
     for entry in added:
         table.add_row(*figures_row(entry.meta))
-    # In a file or a pipe rows stay whole.
+    # In a file or a pipe, a wide table keeps each row on one line.
     console = Console(highlight=False, width=None if sys.stdout.isatty() else 200)
     console.print(table)
     for entry in added:
-        known = " (known, nothing computed)" if entry.cached else ""
+        known = " (already there, nothing computed)" if entry.cached else ""
         console.print(f"{entry.folder}: {entry.meta['id']}, see {PICTURE_FILE}{known}", soft_wrap=True, markup=False)

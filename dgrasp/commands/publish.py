@@ -1,4 +1,4 @@
-"""`dgrasp publish`: the policy of a run or checkpoint as one small file to give away."""
+"""`dgrasp publish`: write the policy of a run or checkpoint as one small file to share."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from dgrasp.rl.run import checkpoint
 from dgrasp.rl.run.weights import SUFFIX, write_weights
 
 HELP = """\
-Write a trained policy as a .safetensors file: the actor's weights, and how and on what it was trained, without the
-state of the training. `test.py --policy FILE.safetensors` reads it.
+Write a trained policy as a .safetensors file. It holds the actor's weights and a description of the training and its
+data, without the state needed to resume the training. `test.py --policy FILE.safetensors` reads it.
 
 examples:
   dgrasp publish runs/fast_1 --out mine.safetensors            the best checkpoint of a run
@@ -20,7 +20,7 @@ examples:
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The options of `publish`."""
+    """Add the options of `publish`."""
     parser.add_argument("source", type=Path, metavar="RUN|FILE.pt", help="a run directory, or a checkpoint")
     parser.add_argument("--out", type=Path, required=True, metavar=f"FILE{SUFFIX}", help="the file to write")
 

@@ -1,4 +1,4 @@
-"""What was trained: `dgrasp runs` lists run directories, `dgrasp runs A B` compares two."""
+"""`dgrasp runs`: list run directories, or compare two of them."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ from dgrasp.errors import ConfigError
 from dgrasp.rl.run.record import Run, read_run
 
 HELP = """\
-List training runs with state, data, engine, success and cost; compare two of them.
+List training runs with state, data, engine, success and cost, or compare two runs.
 
 examples:
-  dgrasp runs                         all below runs/
-  dgrasp runs /somewhere/runs         all below another folder
-  dgrasp runs runs/fast_1 runs/fast_2 what differs, and success at the same number of control steps
+  dgrasp runs                         list the runs in runs/
+  dgrasp runs /somewhere/runs         list the runs in another folder
+  dgrasp runs runs/fast_1 runs/fast_2 show differences, and success at the same number of control steps
 """
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The options of `runs`."""
+    """Add the options of `runs`."""
     parser.add_argument("paths", nargs="*", type=Path, metavar="DIR",
                         help="a folder of runs (default: runs), or two runs")
 
@@ -33,16 +33,16 @@ def main(arguments: argparse.Namespace) -> int:
     """List or compare; returns the exit code."""
     paths: list[Path] = arguments.paths or [Path("runs")]
     if len(paths) > 2:
-        raise ConfigError(f"{len(paths)} folders; expected a folder of runs, or two runs to compare")
+        raise ConfigError(f"got {len(paths)} folders; expected a folder of runs, or two runs to compare")
     if len(paths) == 2:
         _compare(*map(read_run, paths))
         return 0
     root = paths[0]
     if not root.is_dir():
-        raise ConfigError(f"{root}: no such folder; train.py makes runs/NAME_K, or where --run says")
+        raise ConfigError(f"{root}: no such folder; train.py writes runs to runs/NAME_K, or to the folder of --run")
     found = [root] if (root / "config.yaml").is_file() else sorted(file.parent for file in root.glob("*/config.yaml"))
     if not found:
-        print(f"{root}: no runs there")
+        print(f"{root}: no runs in this folder")
         return 0
     table = Table("run", "state", "data", "engine", "objects", *_COST, box=None)
     for column in table.columns[5:]:
@@ -80,7 +80,7 @@ def _data(run: Run) -> str:
 
 def _objects(run: Run) -> str:
     names = run.config.labels.objects
-    return "all" if not names else names[0] if len(names) == 1 else f"{len(names)} of them"
+    return "all" if not names else names[0] if len(names) == 1 else f"{len(names)} objects"
 
 
 def _compare(a: Run, b: Run) -> None:
@@ -98,7 +98,7 @@ def _compare(a: Run, b: Run) -> None:
     curves = Table("control steps", *(escape(f"success of {run.path.name}") for run in (a, b)), box=None)
     for column in curves.columns:
         column.justify = "right"
-    # Up to where the shorter one went, success as last evaluated.
+    # Up to the end of the shorter run; each cell is the success of the latest evaluation so far.
     until = min(a.curve[-1][0], b.curve[-1][0])
     for steps in sorted({steps for steps, _ in a.curve + b.curve if steps <= until}):
         curves.add_row(f"{steps:,}", *(f"{_at(run, steps):.3f}" for run in (a, b)))
@@ -112,6 +112,6 @@ def _at(run: Run, steps: int) -> float:
 
 
 def _print(table: Table) -> None:
-    # A table that goes into a file is not squeezed to a terminal's width.
+    # A table that goes to a file or a pipe is not limited to a terminal's width.
     console = Console()
     (console if console.is_terminal else Console(width=200)).print(table)

@@ -1,4 +1,4 @@
-"""`python test.py --table NAME`: the paper's tables."""
+"""`python test.py --table NAME`: fill the paper's tables."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from dgrasp.tables.plan import plans
 from dgrasp.tables.show import show, write
 
 RUNS = Path("runs/tables")
-"""Where runs and results are without --runs."""
+"""Default of --runs: the folder of runs and results."""
 _NOT_OF_TABLES = ("baseline", "run", "motion", "split", "labels", "objects", "json", "report", "records", "gif")
-"""Options of test.py that say what one evaluation is of, or where it goes."""
+"""Options of test.py that choose what a single evaluation covers or where its output goes; --table refuses them."""
 
 
 def main(arguments: argparse.Namespace) -> int:
@@ -23,9 +23,9 @@ def main(arguments: argparse.Namespace) -> int:
     refused = [f"--{name}" for name in _NOT_OF_TABLES if getattr(arguments, name) is not None]
     if refused:
         raise ConfigError("--table takes methods, labels and targets from the paper and writes NAME.md, NAME.csv and "
-                          f"NAME.json to --runs; leave {', '.join(refused)} away (--policy FILE stands in for the "
-                          "policy of all objects; the key labels.objects=[NAME, ...] narrows rows that name no objects "
-                          "of their own), or leave --table away for one evaluation")
+                          f"NAME.json to --runs; leave out {', '.join(refused)} (--policy FILE replaces the policy of "
+                          "all objects; the key labels.objects=[NAME, ...] restricts rows that name no objects of "
+                          "their own), or leave out --table for a single evaluation")
     given = {"data": arguments.data, "engine": arguments.engine, "eval.window_s": arguments.window}
     overrides = [override(key, value) for key, value in given.items() if value is not None]
     overrides += arguments.overrides
@@ -40,7 +40,7 @@ def main(arguments: argparse.Namespace) -> int:
     try:
         root.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise DataError(f"--runs {root}: not a folder that can be written to ({error.strerror})") from None
+        raise DataError(f"--runs {root}: cannot write to this folder ({error.strerror})") from None
     for plan in chosen:
         rows = fill(plan, seeds)
         show(plan, rows)

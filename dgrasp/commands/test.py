@@ -32,48 +32,49 @@ from dgrasp.view.meshes import DisplayMeshes
 from raisim_like.registry import BATCHES
 
 HELP = """\
-Evaluate grasps: the policy (or baseline) grasps, the table is taken away, and the object must not fall
-for the window. Prints a table per object, beside the paper's numbers where hand and labels are the paper's.
-With --motion the wrist then carries the object to target poses, or along a trajectory.
+Evaluate grasps: the policy (or baseline) grasps, the table is taken away, and the object must not fall during the
+window. Prints a table with a row per object, next to the paper's numbers if hand and labels are the paper's. With
+--motion, the wrist then carries the object to target poses or along a trajectory.
 
 examples:
   python test.py --baseline gt_pd                        hold the labels' poses with PD control
-  python test.py --baseline gt_ik                        the same after drawing the contacts to the surface
-  python test.py --run runs/dexycb_1 --split test        a policy that was trained here
+  python test.py --baseline gt_ik                        the same, with the contacts moved to the object's surface
+  python test.py --run runs/dexycb_1 --split test        a policy that you trained
   python test.py --policy full_6000.pt --window 3.87     a policy that the authors published
   python test.py --baseline gt_pd --labels MY.npz --report out.html   charts, failures, replays in one file
   python test.py --cfg cfg/motion.yaml --policy full_6000.pt          motion synthesis, as in the paper
   python test.py --run runs/dexycb_1 --motion MY.csv                  to your own poses, or along your own path
-  python test.py --table grasp --engine mujoco           a table of the paper; --budget 60 trains what it lacks
-  python test.py --baseline static_grasp [--policy full_6000.pt]      the fingers only hold while the wrist moves
-  python test.py --baseline flat_rl --run runs/flat_rl_1              one policy for all of it; likewise learned_motion
+  python test.py --table grasp --engine mujoco           a table of the paper; --budget 60 trains missing policies
+  python test.py --baseline static_grasp [--policy full_6000.pt]      the fingers keep their pose as the wrist moves
+  python test.py --baseline flat_rl --run runs/flat_rl_1              one policy grasps and moves; also learned_motion
 """
 
 BESIDE_JSON = {".csv": output.write_csv, ".md": output.write_markdown, ".tex": write_latex}
-"""The tables that are written beside the file of --json, by suffix."""
+"""Suffix -> writer of the tables that are written beside the file of --json."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The options of `test`."""
+    """Add the options of `test`."""
     parser.add_argument("--baseline", choices=BASELINES, help="a baseline of the paper; static_grasp takes its grasps "
-                        "from --run or --policy, else from the labels by PD; flat_rl and learned_motion are runs of "
-                        "their own")
+                        "from --run or --policy, else from PD control on the labels; flat_rl and learned_motion need "
+                        "training runs of their own")
     what = parser.add_mutually_exclusive_group()
     what.add_argument("--run", type=Path, metavar="DIR|pretrained", help="the last checkpoint of a training run, or "
-                      "the policy that ships")
-    what.add_argument("--policy", type=Path, metavar="FILE", help="a checkpoint, ours or one of the authors'; or "
-                      "weights of `dgrasp publish`")
-    parser.add_argument("--table", choices=(*NAMES, "all"), help="a table of the paper: evaluate what is there, say "
-                        "how to train the rest")
+                      "the shipped policy")
+    what.add_argument("--policy", type=Path, metavar="FILE", help="a checkpoint, ours or one of the authors', or a "
+                      "file of `dgrasp publish`")
+    parser.add_argument("--table", choices=(*NAMES, "all"), help="fill a table of the paper with the trained policies, "
+                        "and print how to train the missing ones")
     parser.add_argument("--budget", type=_minutes, metavar="MINUTES",
-                        help="with --table: train what is missing, so long")
+                        help="with --table: train missing policies for this long")
     parser.add_argument("--seeds", type=_numbers, default=[], metavar="K,K,...",
-                        help="with --table: policies of these seeds, averaged (default: the config's one)")
+                        help="with --table: average over policies of these seeds (default: the config's seed)")
     parser.add_argument("--runs", type=Path, metavar="DIR",
-                        help="with --table: where its runs and results are (default: runs/tables)")
+                        help="with --table: folder of its runs and results (default: runs/tables)")
     parser.add_argument("--motion", metavar="easy|near|ood|circle|pour|FILE",
-                        help="move the object to targets: the authors', own ones, a path, or a file of poses")
-    parser.add_argument("--cfg", type=Path, metavar="FILE", help="experiment (default: the run's, the policy's, or "
+                        help="move the object to targets: the authors' (easy), this project's (near, ood), a path "
+                             "(circle, pour) or a file of poses")
+    parser.add_argument("--cfg", type=Path, metavar="FILE", help="config file (default: the run's, the policy's, or "
                         "cfg/dexycb.yaml)")
     parser.add_argument("--data", metavar="free|DIR", help="the free set, or a folder like the authors' release")
     parser.add_argument("--split", choices=("train", "test"), help="which labels (default: train)")
@@ -81,8 +82,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--objects", nargs="+", metavar="NAME", help="only these objects, such as 004_sugar_box")
     parser.add_argument("--engine", choices=list(BATCHES), help="physics engine")
     parser.add_argument("--window", type=float, metavar="SECONDS",
-                        help="stability window (default: 5; the authors: 3.87)")
-    parser.add_argument("--json", type=Path, metavar="FILE", help="write JSON, and CSV, markdown, LaTeX beside it")
+                        help="stability window (default: 5; the authors use 3.87)")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write JSON, with CSV, Markdown and LaTeX beside it")
     parser.add_argument("--report", type=Path, metavar="FILE", help="write one HTML page: table, charts, replays in 3D")
     parser.add_argument("--records", type=Path, metavar="DIR", help="store every sequence in a new folder, for `dgrasp "
                         "export`")
@@ -92,7 +93,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def _numbers(text: str) -> list[int]:
     if not re.fullmatch(r"\d+(,\d+)*", text):
-        raise argparse.ArgumentTypeError(f"{text!r}: expected seeds, whole numbers with commas between, such as 1,2,3")
+        raise argparse.ArgumentTypeError(f"{text!r}: expected seeds, whole numbers separated by commas, such as 1,2,3")
     return [int(word) for word in text.split(",")]
 
 
@@ -101,7 +102,7 @@ def _minutes(text: str) -> float:
         minutes = float(text)
         if math.isfinite(minutes) and minutes > 0.0:
             return minutes
-    raise argparse.ArgumentTypeError(f"{text!r}: expected minutes, more than 0")
+    raise argparse.ArgumentTypeError(f"{text!r}: expected a number of minutes above 0")
 
 
 def main(arguments: argparse.Namespace) -> int:
@@ -112,11 +113,11 @@ def main(arguments: argparse.Namespace) -> int:
     given = {"--budget": arguments.budget, "--seeds": arguments.seeds or None, "--runs": arguments.runs}
     alone = [name for name, value in given.items() if value is not None]
     if alone:
-        raise ConfigError(f"{', '.join(alone)}: only a table has a use for that; name one, such as --table grasp, or "
-                          f"leave {', '.join(alone)} away")
+        raise ConfigError(f"{', '.join(alone)}: only valid with --table; add one, such as --table grasp, or leave out "
+                          f"{', '.join(alone)}")
     if arguments.json is not None and arguments.json.suffix.lower() in BESIDE_JSON:
-        raise ConfigError(f"--json {arguments.json}: that is where a table goes that is written beside the JSON; "
-                          f"expected a name such as {arguments.json.with_suffix('.json')}")
+        raise ConfigError(f"--json {arguments.json}: a table with this suffix is written beside the JSON; expected a "
+                          f"name such as {arguments.json.with_suffix('.json')}")
     _check_outputs(arguments)
     if arguments.records is not None:
         check_folder(arguments.records)
@@ -148,15 +149,16 @@ def main(arguments: argparse.Namespace) -> int:
             if arguments.gif is not None:
                 write_gif(arguments.gif, records, meshes)
     finally:
-        # Last, for who reads only its first lines closes the pipe; and whatever became of the files.
+        # The table comes last: `| head` closes the pipe early, and the files must be complete by then. It is printed
+        # even if writing a file failed.
         output.print_table(result)
         print("\n".join(lines), end="\n" if lines else "")
     return 0
 
 
 def asked_by(arguments: argparse.Namespace) -> Asked:
-    """What the options ask for; what is typed as key=value stands above the options that are short for it."""
-    # `--objects A B seed=3`: what holds an equals sign is not an object.
+    """What the options ask for; a key=value on the command line takes precedence over the option for the same key."""
+    # In `--objects A B seed=3`, a word with an equals sign is an override, not an object.
     named = arguments.objects or []
     objects = None if arguments.objects is None else [name for name in named if "=" not in name]
     given = {
@@ -182,7 +184,7 @@ def _check_outputs(arguments: argparse.Namespace) -> None:
         beside = [arguments.json.with_suffix(suffix) for suffix in BESIDE_JSON]
         there = [str(path) for path in beside if path.exists()]
         if there and not arguments.json.exists():
-            raise DataError(f"--json {arguments.json}: {there[0]} would be written beside it, and is there already; "
+            raise DataError(f"--json {arguments.json}: {there[0]} would be written beside it, but exists already; "
                             "choose another name")
         outputs |= {f"the {path.suffix} beside --json": path for path in beside}
     inputs = [arguments.cfg, arguments.policy, *(Path(word) for word in (arguments.labels, arguments.motion) if word)]
@@ -192,10 +194,10 @@ def _check_outputs(arguments: argparse.Namespace) -> None:
 def write_gif(
     path: Path, records: Sequence[EpisodeRecord], meshes: Mapping[str, DisplayMeshes], count: int = 6
 ) -> None:
-    """A GIF of some episodes side by side, spread over the labels."""
+    """Write a GIF of up to `count` episodes side by side, spread evenly over the labels."""
     there = [record for record in records if len(record.gc)]
     if not there:
-        raise DataError(f"{path}: no episode lasted a single step, so that there is nothing to show in a GIF")
+        raise DataError(f"{path}: no episode lasted a single step, so there is nothing to show in a GIF")
     chosen = [there[i * len(there) // min(count, len(there))] for i in range(min(count, len(there)))]
     clips = [list(record_pictures(r, meshes[r.label.object_id], every=5, size=(320, 240))) for r in chosen]
     write_atomic(path, gif_bytes(tile(clips, columns=3), 5 * chosen[0].dt))

@@ -13,22 +13,22 @@ from dgrasp.training import begin, resume
 HELP = """\
 Train a grasping policy with PPO on all labels of a split, one environment per label.
 
-The data is found in this order: --data, DGRASP_DATA, DEX_YCB_DIR, a release under data/, the free set.
-The first line of output says what was found. Keys of the config can be set at the end of the line.
+The data is looked for in this order: --data, DGRASP_DATA, DEX_YCB_DIR, a release under data/, the free set.
+The first line of output says what was found. Config keys can be set at the end of the command line.
 
 examples:
   python train.py --cfg cfg/dexycb.yaml                              all objects
   python train.py --cfg cfg/dexycb.yaml labels.objects=[004_sugar_box]   one object
   python train.py --cfg cfg/dexycb.yaml --data free ppo.epochs=50 pool.workers=4
-  python train.py --resume runs/dexycb_1                             go on after an interruption
-  python train.py --cfg cfg/flat_rl.yaml                             a baseline; cfg/learned_motion.yaml another
-  tensorboard --logdir runs                                          watch it
+  python train.py --resume runs/dexycb_1                             continue an interrupted run
+  python train.py --cfg cfg/flat_rl.yaml                             a baseline; another is cfg/learned_motion.yaml
+  tensorboard --logdir runs                                          watch the training
 """
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The options of `train`."""
-    parser.add_argument("--cfg", type=Path, metavar="FILE", help="experiment, such as cfg/dexycb.yaml")
+    """Add the options of `train`."""
+    parser.add_argument("--cfg", type=Path, metavar="FILE", help="config file, such as cfg/dexycb.yaml")
     parser.add_argument("--run", type=Path, metavar="DIR", help="run directory (default: runs/NAME_K, a new one)")
     parser.add_argument("--data", metavar="free|DIR", help="the free set, or a folder like the authors' release")
     parser.add_argument("--resume", type=Path, metavar="DIR", help="continue the run in DIR from its last checkpoint")
@@ -44,6 +44,6 @@ def main(arguments: argparse.Namespace) -> int:
         begin(load_config(find_config(arguments.cfg), overrides), arguments.run)
         return 0
     if arguments.run is not None or arguments.cfg is not None:
-        raise ConfigError("--resume takes cfg and run directory from the run itself; leave --cfg and --run away")
+        raise ConfigError("--resume takes cfg and run directory from the run itself; leave out --cfg and --run")
     resume(arguments.resume, overrides)
     return 0

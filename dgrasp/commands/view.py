@@ -1,4 +1,4 @@
-"""`dgrasp view`: stored sequences as a page of replays, opened in the browser."""
+"""`dgrasp view`: show stored sequences as a page of replays in the browser."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from dgrasp.report import replay
 from dgrasp.report.page import document, replays_section
 
 HELP = """\
-Look at sequences that `test --records DIR` has stored: one HTML page, which opens offline, with replays to turn and
-scrub.
+View sequences that `test --records DIR` has stored. Writes one HTML page that works offline; its replays can be
+rotated and scrubbed.
 
 examples:
   dgrasp test --run pretrained --records sequences
@@ -24,15 +24,15 @@ examples:
   dgrasp view sequences/004_sugar_box_0003.npz --out box.html --no-browser
 """
 MOST = 40
-"""Replays on a page; each takes some 50 kB of it."""
+"""Most replays on a page; each adds about 50 kB."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The options of `view`."""
+    """Add the options of `view`."""
     parser.add_argument("source", type=Path, metavar="FILE|DIR", help="a stored sequence, or a folder of them")
     parser.add_argument("--out", type=Path, metavar="FILE.html",
                         help="the page to write (default: view.html beside the sequences)")
-    parser.add_argument("--no-browser", action="store_true", help="write the page and do not open it")
+    parser.add_argument("--no-browser", action="store_true", help="write the page without opening it")
 
 
 def main(arguments: argparse.Namespace) -> int:
@@ -43,7 +43,7 @@ def main(arguments: argparse.Namespace) -> int:
         raise ConfigError(f"--out {out}: expected the name of an .html file")
     check_outputs({"--out": out}, files)
     if len(files) > MOST:
-        print(f"{len(files)} sequences: every {-(-len(files) // MOST)}th is shown")
+        print(f"{len(files)} sequences: the page shows 1 of every {-(-len(files) // MOST)}")
         files = files[:: -(-len(files) // MOST)]
     sequences = [read_sequence(file) for file in files]
     rows = [{"object": s.record.label.object_id, "index": s.record.label.index, **s.about["row"]} for s in sequences]
@@ -56,5 +56,5 @@ def main(arguments: argparse.Namespace) -> int:
     write_atomic(out, document(name, [head, replays_section(shown)], data))
     print(f"wrote {out}")
     if not arguments.no_browser and not webbrowser.open(out.absolute().as_uri()):
-        print("no browser here: open the page where there is one")
+        print("no browser found; open the page on a machine that has one")
     return 0

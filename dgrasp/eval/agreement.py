@@ -1,8 +1,8 @@
-"""Whether a published policy holds here what it held in RaiSim, label by label.
+"""Compare the outcomes of a published policy here with its outcomes in RaiSim, label by label.
 
-The authors ship `success_idxs.npy` beside a policy: the places of the labels that it held in their simulator,
-counted in the train file, or among one object's labels for a policy of that object (its folder begins with the
-object's number).
+The authors ship `success_idxs.npy` beside a policy. It lists the labels that the policy held in their simulator, as
+indices into the train file. For a policy of one object, whose folder's name begins with the object's number, they are
+indices among that object's labels.
 """
 
 from __future__ import annotations
@@ -24,7 +24,10 @@ FILE = "success_idxs.npy"
 
 @dataclass(frozen=True)
 class Agreement:
-    """Counts of labels by where they were held, and the names of those held in one place alone."""
+    """Counts of labels held in both simulators, in one and in neither, and the names of those held in only one.
+
+    "here" is this evaluation, "there" is RaiSim.
+    """
 
     both: int
     here_alone: int
@@ -35,15 +38,15 @@ class Agreement:
 
     @property
     def share(self) -> float:
-        """Of the labels on which both say the same."""
+        """Share of the labels with the same outcome in both simulators."""
         return (self.both + self.neither) / (self.both + self.here_alone + self.there_alone + self.neither)
 
     def plain(self) -> dict[str, Any]:
-        """For a JSON file."""
+        """Plain values for a JSON file."""
         return {"agreement": self.share, **asdict(self)}
 
     def lines(self) -> list[str]:
-        """For the terminal: the confusion table, and which labels differ."""
+        """Lines for the terminal: the confusion table and the labels that differ."""
         n = self.both + self.here_alone + self.there_alone + self.neither
         there = self.both + self.there_alone
         lines = [
@@ -55,15 +58,15 @@ class Agreement:
         ]
         for what, names in (("here", self.labels_here_alone), ("in RaiSim", self.labels_there_alone)):
             if names:
-                lines.append(f"held {what} alone: {', '.join(names)}")
+                lines.append(f"held only {what}: {', '.join(names)}")
         return lines
 
 
 def find_agreement(policy: Path, chosen: LabelSet, success: Sequence[bool]) -> Agreement | None:
-    """The agreement of an evaluation of `policy` with RaiSim's, or None where nothing is known of it.
+    """The agreement of an evaluation of `policy` with RaiSim, or None if RaiSim's outcomes are not known.
 
-    success: of the chosen labels, in their order. Known are train labels of the authors' release, beside whose
-    policy lies `success_idxs.npy`. Raises `DataError` for a damaged one.
+    success: the outcomes of the chosen labels, in their order. RaiSim's outcomes are known for train labels of the
+    authors' release if `success_idxs.npy` lies beside the policy. Raises `DataError` if that file is damaged.
     """
     file = policy.with_name(FILE)
     if chosen.published_as != ("dexycb", "train") or not file.is_file():
@@ -93,11 +96,11 @@ def _held(file: Path, counted: Sequence[GraspLabel]) -> set[tuple[str, int]]:
     try:
         places = np.load(file, allow_pickle=False)
     except (OSError, ValueError, EOFError) as error:
-        raise DataError(f"{file}: not an array of numbers ({error}); remove it, or take the authors' file") from None
+        raise DataError(f"{file}: not an array of numbers ({error}); remove it, or use the authors' file") from None
     whole = isinstance(places, np.ndarray) and places.ndim == 1 and places.dtype.kind in "iu"
     if not whole or (len(places) and not 0 <= places.min() <= places.max() < len(counted)):
         raise DataError(
-            f"{file}: expected whole numbers (n,) from 0 to {len(counted) - 1}, places of labels in their file; "
-            "remove it, or take the authors' file"
+            f"{file}: expected whole numbers (n,) from 0 to {len(counted) - 1}, indices of labels in their file; "
+            "remove it, or use the authors' file"
         )
     return {_key(counted[place]) for place in places.tolist()}

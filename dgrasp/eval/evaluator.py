@@ -1,4 +1,4 @@
-"""Run a method on every label of a pool and record what happened."""
+"""Run a method on every label of a pool and record the episodes."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from dgrasp.types import Array, EpisodeRecord
 from raisim_like.rotations import transform
 
 Progress = Callable[[int, int], None]
-"""Called with (steps done, steps in all)."""
+"""Called with (steps done, total steps)."""
 
 UNSTABLE = "unstable simulation"
 
@@ -45,12 +45,12 @@ class Recorder:
         self.T_WG[t] = transform(s.R_WG, s.target_pos_W)
         self.contacts[t], self.contact_impulse[t] = s.contacts, s.contact_impulse
         self.table_contact[t], self.reward[t] = s.table_contact > 0, reward
-        # The step that broke an episode shows a restarted world, not what happened: it is left out.
+        # After the step that broke an episode, the pool shows a restarted world; that step is left out.
         self.length = np.where(terminated & (self.length == self.steps), t, self.length)
         self.t += 1
 
     def records(self, window_start: int, dt: float, with_target: bool = False) -> list[EpisodeRecord]:
-        """One record per label; with_target: of episodes that move the object, with where it should have been."""
+        """One record per label; with_target: include the object's target poses, for episodes that move the object."""
         made = []
         for i, label in enumerate(self.pool.labels):
             cut = slice(0, int(self.length[i]))
@@ -75,10 +75,10 @@ class Recorder:
 
 
 ATTEMPTS = 3
-"""How often an evaluation starts over when a worker is lost on the way."""
+"""Number of times that an evaluation is tried if a worker is lost."""
 
 AT_ONCE = {"pybullet": 128}
-"""Labels that a test simulates side by side, by engine (others: all): a world of PyBullet takes 29 MB."""
+"""Engine -> most labels that a test simulates at once; other engines take all. A PyBullet world takes 29 MB."""
 
 Cost = dict[str, float]
 """control_steps, wall_s, physics_share."""
@@ -87,9 +87,10 @@ Cost = dict[str, float]
 def evaluate_labels(
     spec: PoolSpec, method: Method, progress: Progress | None = None
 ) -> tuple[list[EpisodeRecord], Cost, list[str]]:
-    """`evaluate` for all labels of `spec` with its config's window, in pools made for it; also what the pools report.
+    """Run `evaluate` on all labels of `spec`; returns records, cost and the pools' events.
 
-    However many labels there are, no more than `AT_ONCE` of them are in memory; the records are the same to the bit.
+    The window is that of the spec's config. Pools are made for at most `AT_ONCE` labels at a time, to limit memory.
+    The records are bitwise the same as in one pool.
     """
     config, parts, total = spec.config, parts_of(spec), evaluation_steps(spec, method)
     records: list[EpisodeRecord] = []
@@ -108,25 +109,25 @@ def evaluate_labels(
 
 
 def parts_of(spec: PoolSpec) -> list[slice]:
-    """The labels that are simulated side by side, `AT_ONCE` of them at most, one part after another."""
+    """Slices of the labels, of at most `AT_ONCE` each: a part is simulated at once, the parts one after another."""
     n = len(spec.labels)
     parts = max(1, -(-n // AT_ONCE.get(spec.config.engine, max(1, n))))
     return [slice(k * n // parts, (k + 1) * n // parts) for k in range(parts)]
 
 
 def evaluation_steps(spec: PoolSpec, method: Method) -> int:
-    """How many steps `evaluate_labels` tells its progress in."""
+    """Total number of steps that `evaluate_labels` reports to its progress callback."""
     episode = grasp_steps(method, spec.config) + spec.config.window_steps
     return len(parts_of(spec)) * episode
 
 
 def shifted(progress: Progress | None, done: int, total: int) -> Progress | None:
-    """Progress of a part, told as progress of the whole."""
+    """A callback for one part that reports progress of the whole to `progress`."""
     return None if progress is None else lambda step, _: progress(done + step, total)
 
 
 def summed(costs: Sequence[Cost]) -> Cost:
-    """The cost of several evaluations together."""
+    """The total cost of several evaluations; physics_share is weighted by wall time."""
     wall = sum(cost["wall_s"] for cost in costs)
     physics = sum(cost["wall_s"] * cost["physics_share"] for cost in costs)
     return {"control_steps": sum(cost["control_steps"] for cost in costs), "wall_s": wall,
@@ -138,19 +139,19 @@ def evaluate(
 ) -> tuple[list[EpisodeRecord], Cost]:
     """Records of one deterministic episode per label, and the cost (control_steps, wall_s, physics_share).
 
-    A policy grasps for `env.grasp_steps`, then the table goes and the window of `eval.window_s` seconds begins
-    (supplement B.3). A baseline that starts in the label's pose begins with the window.
+    A policy grasps for `env.grasp_steps`; then the table is taken away and the window of `eval.window_s` seconds begins
+    (supplement B.3). For a baseline that starts in the label's pose, the episode begins with the window.
     """
     grasp = grasp_steps(method, config)
     steps = grasp + config.window_steps
-    # Where an episode starts without a table there is none to take away.
+    # An episode without a grasping phase starts without a table.
     begin = pool.remove_table if grasp else None
     recorder, cost = run_episodes(pool, method, steps, grasp, begin, progress)
     return recorder.records(grasp, config.control_period), cost
 
 
 def grasp_steps(method: Method, config: Config) -> int:
-    """Control steps until the test begins: none for a method that starts in the label's pose."""
+    """Control steps before the test begins; 0 for a method that starts in the label's pose."""
     return 0 if method.mode == "label" else config.env.grasp_steps
 
 
@@ -158,8 +159,10 @@ def run_episodes(
     pool: Pool, method: Method, steps: int, grasp: int, begin: Callable[[], None] | None,
     progress: Progress | None = None,
 ) -> tuple[Recorder, Cost]:
-    """One deterministic episode per label, with `begin` called after `grasp` control steps; starts over where a worker
-    is lost."""
+    """Run one deterministic episode per label, with `begin` called after `grasp` control steps.
+
+    Starts over if a worker is lost, at most `ATTEMPTS` times in all; then raises `WorkerLost`.
+    """
     started = time.perf_counter()
     for attempt in range(1, ATTEMPTS + 1):
         try:

@@ -1,6 +1,6 @@
-"""Where grasps fail and when: classes of lost grasps, and the share that is held over time (docs/report.md).
+"""How and when grasps fail: classes of lost grasps, and the share held over time (docs/report.md).
 
-Every threshold is a constant of this module; a class is a pure function of an `EpisodeRecord`.
+Every threshold is a constant of this module. The class is a pure function of an `EpisodeRecord`.
 """
 
 from __future__ import annotations
@@ -16,36 +16,36 @@ from dgrasp.eval.metrics import fallen_steps, window_steps
 from dgrasp.types import Array, EpisodeRecord
 
 KINDS = ("approach", "lift", "slip", "drop", "broken")
-"""The classes of failure, in the order of an episode. An episode that is none of them was held."""
+"""The classes of failure, in the order of an episode. An episode in none of these classes was held."""
 
 MEANINGS = {
-    "approach": "never in the grip: untouched, tipped or pushed away before the table goes",
-    "lift": "lost within half a second after the table goes",
+    "approach": "never gripped: not touched, or tipped or pushed away before the table is taken away",
+    "lift": "lost within half a second after the table is taken away",
     "slip": "lost later, after sliding in the hand",
     "drop": "lost later, from a steady grip",
     "broken": "the simulation broke before the object was lost",
 }
 
 GRIP_S = 0.15
-"""s. The hand must touch the object within this time before the table goes (or after a start in the grasp)."""
+"""s. The hand must touch the object within this time before the table is removed (or after a start in the grasp)."""
 PUSHED_M = 0.05
-"""m. An object that the approach moved farther than this along the table was pushed away."""
+"""m. The object was pushed away if the approach moved it farther than this along the table."""
 TIPPED_RAD = float(np.deg2rad(30.0))
-"""rad. An object whose vertical the approach turned by more than this was tipped."""
+"""rad. The object was tipped if the approach tilted it from the vertical by more than this."""
 LIFT_S = 0.5
-"""s after the table went. A loss up to then belongs to the lift."""
+"""s after the table is removed. A loss up to this time belongs to the lift."""
 SLID_M = 0.02
-"""m. An object that moved farther than this in the wrist's frame slid."""
+"""m. The object slid if it moved farther than this in the wrist's frame."""
 SUDDEN_S = 0.2
-"""s. What happens within this time before the loss is the loss itself, not sliding."""
+"""s. Motion within this time before the loss counts as the loss itself, not as sliding."""
 
 
 @dataclass(frozen=True)
 class Outcome:
     """How an episode ended.
 
-    kind: one of `KINDS`, or "held". step: the last control step with the object in the hand, -1 where it never was;
-    None if it was held. lost_s: that moment in s after the table went, at least 0; None if it was held.
+    kind: one of `KINDS`, or "held". step: the last control step with the object in the hand, -1 if there is none; None
+    if it was held. lost_s: time of the loss, s after the table was removed, at least 0; None if it was held.
     """
 
     kind: str
@@ -54,9 +54,9 @@ class Outcome:
 
 
 def outcome(record: EpisodeRecord, window_s: float) -> Outcome:
-    """The class of an episode; "held" exactly where `metrics.success` is true.
+    """The outcome of an episode; its kind is "held" exactly if `metrics.success` is true.
 
-    The moment of the loss is the last step before the landing in which a part of the hand touched the object.
+    The object is lost at the last step before it lands in which a part of the hand touches it.
     """
     start = record.window_start
     stop = start + window_steps(record, window_s)
@@ -79,7 +79,7 @@ def outcome(record: EpisodeRecord, window_s: float) -> Outcome:
 
 
 def _seconds(record: EpisodeRecord, step: int) -> float:
-    """Time of the state after a step, in s after the table went."""
+    """Time of the state after a step, s after the table was removed, at least 0."""
     return max(0.0, (step - record.window_start + 1) * record.dt)
 
 
@@ -89,7 +89,7 @@ def _touch(record: EpisodeRecord) -> Array:
 
 
 def _gripped(record: EpisodeRecord) -> bool:
-    """Whether the hand touched the object just before the table went, or just after a start in the grasp."""
+    """Whether the hand touched the object within `GRIP_S` before the table's removal, or after a start in the grasp."""
     steps = max(1, round(GRIP_S / record.dt))
     start = record.window_start
     near = slice(max(0, start - steps), start) if start else slice(0, steps)
@@ -102,13 +102,13 @@ def _displaced(record: EpisodeRecord) -> bool:
         return False
     first, last = record.T_WO[0], record.T_WO[record.window_start - 1]
     pushed = np.linalg.norm(last[:2, 3] - first[:2, 3])
-    # What points up in the world, in the object's frame: turning about the vertical is no tipping.
+    # The world's vertical in the object's frame: a rotation about the vertical does not count as tipping.
     tipped = np.arccos(np.clip(first[2, :3] @ last[2, :3], -1.0, 1.0))
     return bool(pushed > PUSHED_M or tipped > TIPPED_RAD)
 
 
 def _slid_before(record: EpisodeRecord, lost: int) -> bool:
-    """Whether the object had slid in the hand well before the loss."""
+    """Whether the object had slid in the hand by `SUDDEN_S` before the loss."""
     before = lost - round(SUDDEN_S / record.dt)
     reference = max(record.window_start - 1, 0)
     if before <= reference:
@@ -119,7 +119,7 @@ def _slid_before(record: EpisodeRecord, lost: int) -> bool:
 
 
 def counts(rows: Sequence[Mapping[str, Any]]) -> dict[str, int]:
-    """How many rows (of `summary.label_row`) were held and failed in each class, every class named."""
+    """Number of rows (of `summary.label_row`) that were held and that failed in each class, including zeros."""
     found = dict.fromkeys(("held", *KINDS), 0)
     for row in rows:
         found[row.get("failure", "held")] += 1
@@ -127,20 +127,20 @@ def counts(rows: Sequence[Mapping[str, Any]]) -> dict[str, int]:
 
 
 def held_over_time(rows: Sequence[Mapping[str, Any]], window_s: float, dt: float) -> tuple[Array, dict[str, Array]]:
-    """Times (K,) in s after the table went, and for each object the share (K,) of its labels not yet lost.
+    """Times (K,), s after the table was removed, and for each object the share (K,) of its labels not yet lost.
 
-    The first entry is at 0, the last at the window's end, where the share is the object's success.
+    The first time is 0. The last is the end of the window, where the share is the object's success.
     """
     times = np.arange(control_steps(window_s, dt) + 1) * dt
     groups: dict[str, list[float]] = {}
     for row in rows:
         groups.setdefault(row["object"], []).append(row.get("lost_s", np.inf))
-    # A loss counts from its own step on; the half step is for the last bits of the times.
+    # A loss counts from its own step on. The half step absorbs rounding errors in the times.
     return times, {name: (np.array(lost)[:, None] > times + 0.5 * dt).mean(axis=0) for name, lost in groups.items()}
 
 
 def report(rows: Sequence[Mapping[str, Any]], window_s: float, dt: float) -> dict[str, Any]:
-    """`failures` and `held_over_time` for the JSON: counts in all and per object, and shares over time."""
+    """Entries for the JSON: `failures`, counts in total and per object, and `held_over_time`, shares over time."""
     times, shares = held_over_time(rows, window_s, dt)
     lost = {name: [row for row in rows if row["object"] == name] for name in shares}
     sizes = np.array([len(group) for group in lost.values()])

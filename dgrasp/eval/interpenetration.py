@@ -1,4 +1,4 @@
-"""How much of the hand is inside the object when the grasp is done (supplement, "Metrics Details")."""
+"""Volume of the hand inside the object in the finished grasp (supplement, "Metrics Details")."""
 
 from __future__ import annotations
 
@@ -18,12 +18,16 @@ from dgrasp.objects.body import ObjectBody
 from dgrasp.types import Array, EpisodeRecord
 
 CM3 = 1e6
-"""cm^3 in a m^3."""
+"""cm^3 per m^3."""
 
 
 @dataclass
 class Interpenetration:
-    """Measures episodes and remembers what their numbers rest on."""
+    """Measures episodes and counts how the measurements were made.
+
+    preparation_s, seconds: time spent, s. measured: episodes. by_points: of these, measured by points alone.
+    doubtful: measurements in which booleans and points disagree. failed: episodes that could not be measured.
+    """
 
     surface: HandSurface
     objects: Mapping[str, ObjectBody]
@@ -40,10 +44,10 @@ class Interpenetration:
         self.preparation_s += time.perf_counter() - started
 
     def measure(self, record: EpisodeRecord) -> dict[str, float]:
-        """`interpenetration_cm3` and `interpenetration_shell_cm3` of an episode; nothing where it ended before.
+        """`interpenetration_cm3` and `interpenetration_shell_cm3` of an episode; {} if it ended before the grasp.
 
-        The first is the volume inside both meshes; the second counts 5 mm cubes of the object's surface, as the paper's
-        numbers do. Both in the state of `grasp_pose`.
+        The first is the volume inside both meshes. The second counts 5 mm cubes of the object's surface, as the paper's
+        numbers do. Both are measured in the state of `grasp_pose`.
         """
         pose = grasp_pose(record)
         if pose is None:
@@ -72,7 +76,7 @@ class Interpenetration:
         return values
 
     def report(self) -> dict[str, Any]:
-        """What the numbers rest on, plain values; see docs/metrics.md."""
+        """How the numbers were measured, as plain values; see docs/metrics.md."""
         bodies = self.objects.values()
         detailed = sum(b.detailed for b in bodies)
         kinds = {"detailed" if b.detailed else "own" if b.own else "collision shapes" for b in bodies}

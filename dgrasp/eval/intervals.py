@@ -1,4 +1,4 @@
-"""How far a mean may be off by the choice of labels: percentile bootstrap intervals."""
+"""Percentile bootstrap intervals: how much a mean depends on the choice of labels."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ Interval = list[float]
 def intervals(values: Mapping[str, Mapping[str, Sequence[float]]], rng: np.random.Generator) -> dict[str, Any]:
     """Intervals of the means per object, over objects and over labels.
 
-    values: metric -> object -> the values of its labels that have the metric. The objects are taken as given and
-    labels are drawn again within each: an interval says how the mean varies with other labels of these objects. Over
-    all labels the draw is over all of them. Returns level, resamples, mean_over_objects and mean_over_labels (metric ->
-    [low, high]) and per_object (object -> metric -> [low, high]). One value says nothing about its spread, so a mean of
-    one label, or over objects of which one has one label, has no interval.
+    values: metric -> object -> the values of its labels that have the metric. For means per object and over objects,
+    the objects are fixed and labels are resampled within each: an interval shows how the mean varies with other labels
+    of the same objects. For means over labels, all labels are resampled together.
+    Returns level, resamples, mean_over_objects and mean_over_labels (metric -> [low, high]) and per_object (object ->
+    metric -> [low, high]). A mean of one label has no interval, nor has a mean over objects if one has only one label.
     """
     over_objects: dict[str, Interval] = {}
     over_labels: dict[str, Interval] = {}
@@ -43,7 +43,7 @@ def intervals(values: Mapping[str, Mapping[str, Sequence[float]]], rng: np.rando
 
 
 def resampled_means(values: Array, rng: np.random.Generator) -> Array:
-    """(RESAMPLES,) means of as many values, drawn from `values` (n,) with replacement."""
+    """(RESAMPLES,) means of n values drawn from `values` (n,) with replacement."""
     return np.asarray(values[rng.integers(0, len(values), (RESAMPLES, len(values)))].mean(axis=1))
 
 

@@ -1,4 +1,4 @@
-"""A result as a LaTeX table in the paper's layout: success, SimDist and interpenetration per object, ours and paper."""
+"""Write a result as a LaTeX table in the paper's layout: metrics per object, ours beside the paper's."""
 
 from __future__ import annotations
 
@@ -21,16 +21,16 @@ _SPECIAL = {"\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textas
 
 
 def escaped(text: str) -> str:
-    """Text that LaTeX prints as it is."""
+    """The text with LaTeX's special characters escaped."""
     return "".join(_SPECIAL.get(character, character) for character in text)
 
 
 def latex_text(result: Result) -> str:
-    """A `tabular` for `\\usepackage{booktabs}`; what it rests on stands above it in comments."""
+    """A `tabular` for `\\usepackage{booktabs}`, preceded by the title and remarks as LaTeX comments."""
     metrics = [name for name in _COLUMNS if name in result.mean_over_labels]
     paper = result.paper or {}
     if "interpenetration_cm3" in metrics and "interpenetration_shell_cm3" in paper:
-        # The paper's number belongs to the shell (docs/metrics.md), so it stands beside that alone.
+        # The paper measured the shell (docs/metrics.md), so its number is shown only beside the shell's column.
         paper = {name: values for name, values in paper.items() if name != "interpenetration_cm3"}
     else:
         metrics = [name for name in metrics if name != "interpenetration_shell_cm3"]
@@ -61,7 +61,7 @@ def latex_text(result: Result) -> str:
 
 
 def write_latex(result: Result, path: Path) -> None:
-    """Write `latex_text` in one step."""
+    """Write `latex_text` atomically."""
     write_atomic(path, latex_text(result))
 
 

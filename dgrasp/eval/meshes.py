@@ -1,4 +1,4 @@
-"""The meshes of the chosen data, on which interpenetration is measured and labels are corrected."""
+"""The meshes of the chosen data, used to measure interpenetration and to correct labels."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from dgrasp.objects.model import ObjectModel
 
 
 def build_bodies(choice: DataChoice, objects: Mapping[str, ObjectModel]) -> dict[str, ObjectBody]:
-    """The surfaces of the objects, for what is measured on meshes."""
+    """The surfaces of the objects by name, for measurements on meshes."""
     return {name: object_body(model, choice.objects_dir) for name, model in objects.items()}
 
 
 def build_interpenetration(
     choice: DataChoice, config: Config, hand: HandModel, bodies: Mapping[str, ObjectBody]
 ) -> Interpenetration:
-    """What measures interpenetration on the chosen hand's best surface."""
+    """The `Interpenetration` that measures on the best available surface of the chosen hand."""
     folder = choice.hand_urdf.parent
     meta = built_hand(folder)[2] if is_built_hand(folder) else {}
     mano = None if config.eval.mano is None else Path(os.path.expanduser(config.eval.mano))

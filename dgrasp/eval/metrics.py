@@ -1,6 +1,6 @@
-"""The paper's metrics of one evaluated episode (supplement, "Metrics Details"), each a function of its record.
+"""The paper's metrics of one evaluated episode (supplement, "Metrics Details"), as functions of its record.
 
-Where the paper and the code behind its numbers differ, these follow the code; docs/deviations.md lists the
+Where the paper and the code behind its numbers differ, these functions follow the code; docs/deviations.md lists the
 differences. The window begins with the first step after the table was taken away and lasts
 `control_steps(window_s, dt)` control steps.
 """
@@ -14,14 +14,14 @@ from dgrasp.errors import DataError
 from dgrasp.types import Array, EpisodeRecord
 
 FALLEN_HEIGHT = 0.1
-"""m. An object whose origin is not above this height has fallen past the lowered table."""
+"""m. An object whose origin is at or below this height has fallen past the lowered table."""
 
 
 def window_steps(record: EpisodeRecord, window_s: float) -> int:
-    """Control steps in the window, fewer where the episode ended early.
+    """Control steps in the window, fewer if the episode ended early.
 
-    Raises `DataError` for a window shorter than one step, and for a record that ends before the window does
-    although its episode did not end early.
+    Raises `DataError` for a window shorter than one step, and if the record of an episode that did not end early is
+    shorter than the window.
     """
     steps = control_steps(window_s, record.dt)
     if steps < 1:
@@ -40,8 +40,8 @@ def window_steps(record: EpisodeRecord, window_s: float) -> int:
 def success(record: EpisodeRecord, window_s: float) -> bool:
     """Whether the object was held for the whole window.
 
-    From the window's first step to its last it never touches the lowered table, its origin stays above
-    z = 0.1 m, and the episode did not end early.
+    In each step of the window the object does not touch the lowered table and its origin is above z = 0.1 m, and the
+    episode did not end early.
     """
     stop = record.window_start + window_steps(record, window_s)
     if record.terminated:
@@ -52,9 +52,8 @@ def success(record: EpisodeRecord, window_s: float) -> bool:
 def sim_dist_mm_per_step(record: EpisodeRecord, window_s: float) -> float | None:
     """Mean displacement of the object in the world per control step, mm: the unit of the paper's tables.
 
-    Mean of |x_t - x_(t-1)| over the window's steps, to the window's end or to the step in which the object
-    falls onto the lowered table (or past it), that step included. None where the episode ended before the
-    window began, for nothing was measured then.
+    Mean of |x_t - x_(t-1)| over the window's steps, up to and including the step in which the object falls onto the
+    lowered table (or past it), if there is one. None if the episode ended before the window began.
     """
     return _mean_step_mm(record, window_s, record.T_WO[:, :3, 3])
 
@@ -66,13 +65,13 @@ def sim_dist_mm_per_s(record: EpisodeRecord, window_s: float) -> float | None:
 
 
 def sim_dist_wrist_mm_per_step(record: EpisodeRecord, window_s: float) -> float | None:
-    """The displacement of the paper's text, between object and wrist: as above, in the wrist frame."""
+    """`sim_dist_mm_per_step` in the wrist frame: the displacement between object and wrist of the paper's text."""
     offset = record.T_WO[:, :3, 3] - record.T_WH[:, :3, 3]
     return _mean_step_mm(record, window_s, np.einsum("tji,tj->ti", record.T_WH[:, :3, :3], offset))
 
 
 def contact_ratio(record: EpisodeRecord) -> float | None:
-    """Goal contacts achieved over goal contacts, mean over the whole sequence; None for a label without any."""
+    """Achieved goal contacts / goal contacts, mean over the whole sequence; None for a label without goal contacts."""
     goal = np.asarray(record.label.goal_contacts, dtype=bool)
     achieved = np.asarray(record.contacts, dtype=float)[:, goal] > 0.0
     return float(achieved.mean()) if achieved.size else None
@@ -81,8 +80,8 @@ def contact_ratio(record: EpisodeRecord) -> float | None:
 def grasp_pose(record: EpisodeRecord) -> tuple[Array, Array, Array] | None:
     """T_WH (4, 4), finger angles (J,) and T_WO (4, 4) of the finished grasp; None if the episode ended before it.
 
-    It is the last step of the grasping phase. A baseline that starts in the label's pose has no such phase: its grasp
-    is the label, before any physics, as in the paper.
+    The poses are those of the last step of the grasping phase. A baseline that starts in the label's pose has no such
+    phase: its grasp is the label itself, before any simulation, as in the paper.
     """
     if record.window_start == 0:
         label = record.label
@@ -94,9 +93,9 @@ def grasp_pose(record: EpisodeRecord) -> tuple[Array, Array, Array] | None:
 
 
 def label_distance_mm(record: EpisodeRecord) -> float | None:
-    """How far the finished grasp is from the label's: mean distance of the key points in the object's frame, mm.
+    """Mean distance between the key points of the finished grasp and of the label, in the object's frame, mm.
 
-    None for a baseline that starts in the label's pose, and where the episode ended before its grasp was finished.
+    None for a baseline that starts in the label's pose, and if the episode ended before its grasp was finished.
     """
     step = record.window_start - 1
     if not 0 <= step < len(record.gc):
@@ -108,7 +107,10 @@ def label_distance_mm(record: EpisodeRecord) -> float | None:
 
 
 def label_angles_deg(record: EpisodeRecord) -> float | None:
-    """Mean absolute difference of the finished grasp's finger angles to the label's, degrees; None as above."""
+    """Mean absolute difference between the finger angles of the finished grasp and of the label, degrees.
+
+    None in the same cases as for `label_distance_mm`.
+    """
     step = record.window_start - 1
     if not 0 <= step < len(record.gc):
         return None
@@ -118,7 +120,8 @@ def label_angles_deg(record: EpisodeRecord) -> float | None:
 def position_errors_m(record: EpisodeRecord) -> Array:
     """(T',) m: distance between the object and its target after each step of the window (supplement, e_mpe).
 
-    The norm, as in the authors' code and by the size of the paper's numbers; its formula has the square.
+    This is the norm, as in the authors' code; the paper's formula has its square, but the size of the paper's numbers
+    agrees with the norm.
     """
     T_WG = _targets(record)
     offset = record.T_WO[record.window_start :, :3, 3] - T_WG[record.window_start :, :3, 3]
@@ -128,7 +131,7 @@ def position_errors_m(record: EpisodeRecord) -> Array:
 def geodesic_errors_rad(record: EpisodeRecord) -> Array:
     """(T',) rad: angle between the object's and its target's rotation after each step of the window.
 
-    acos((trace(R_o R_g^T) - 1) / 2) of the supplement, by a formula that keeps its digits at small angles.
+    Equal to acos((trace(R_o R_g^T) - 1) / 2) of the supplement, computed by a formula that is accurate at small angles.
     """
     T_WG = _targets(record)[record.window_start :]
     R = np.matmul(record.T_WO[record.window_start :, :3, :3], np.swapaxes(T_WG[:, :3, :3], 1, 2))
@@ -137,23 +140,23 @@ def geodesic_errors_rad(record: EpisodeRecord) -> Array:
 
 
 def mpe_m(record: EpisodeRecord) -> float | None:
-    """The position error at the end of the episode, m; None where it ended before its motion began."""
+    """The position error at the end of the episode, m; None if it ended before its motion began."""
     return _last(position_errors_m(record))
 
 
 def geodesic_rad(record: EpisodeRecord) -> float | None:
-    """The angular error at the end of the episode, rad; None where it ended before its motion began."""
+    """The angular error at the end of the episode, rad; None if it ended before its motion began."""
     return _last(geodesic_errors_rad(record))
 
 
 def _in_frame(T_WO: Array, points_W: Array) -> Array:
-    """World points (K, 3) in the frame T_WO (4, 4)."""
+    """World points (K, 3) expressed in the frame T_WO (4, 4)."""
     local: Array = (points_W - T_WO[:3, 3]) @ T_WO[:3, :3]
     return local
 
 
 def _targets(record: EpisodeRecord) -> Array:
-    """(T, 4, 4) the object's target after each step."""
+    """(T, 4, 4) the object's target pose after each step."""
     if record.T_WG is None:
         raise DataError(f"{record.label.name}: the episode has no target pose of the object; expected T_WG")
     return record.T_WG
@@ -165,9 +168,9 @@ def _last(errors: Array) -> float | None:
 
 
 def has_fallen(table_contact: Array, height_W: Array) -> Array:
-    """bool: the object touches the table or is at `FALLEN_HEIGHT` or below; both arguments have the result's shape.
+    """bool: whether the object touches the table or is at `FALLEN_HEIGHT` or below; both arguments have its shape.
 
-    table_contact: bool or 0 and 1. height_W: z of the object's origin, m; a NaN height counts as fallen.
+    table_contact: bool, or 0 and 1. height_W: z of the object's origin, m; a NaN height counts as fallen.
     """
     return np.asarray(table_contact, dtype=bool) | ~(height_W > FALLEN_HEIGHT)
 
@@ -178,7 +181,7 @@ def fallen_steps(record: EpisodeRecord) -> Array:
 
 
 def _mean_step_mm(record: EpisodeRecord, window_s: float, position: Array) -> float | None:
-    # The first difference needs the state before the window; a record that begins with the window lacks it.
+    # The first difference needs the state before the window, which a record that begins with the window does not have.
     start = max(record.window_start, 1)
     stop = record.window_start + window_steps(record, window_s)
     landed = np.flatnonzero(fallen_steps(record)[start:stop])
@@ -188,7 +191,7 @@ def _mean_step_mm(record: EpisodeRecord, window_s: float, position: Array) -> fl
         return None
     steps = np.linalg.norm(np.diff(position[start - 1 : stop], axis=0), axis=1)
     if record.terminated:
-        # The state that ended the episode may itself be broken.
+        # The state that ended the episode may contain NaN or infinity.
         steps = steps[np.isfinite(steps)]
     if not np.isfinite(steps).all():
         raise DataError(f"{record.label.name}: NaN or infinity in the recorded states of an episode that did not end; "

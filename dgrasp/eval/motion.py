@@ -1,4 +1,4 @@
-"""The experiment of motion synthesis: grasp, leave out what is not stable, move to targets, measure where it ended."""
+"""The experiment of motion synthesis: grasp, leave out unstable grasps, move to targets, measure the final errors."""
 
 from __future__ import annotations
 
@@ -35,14 +35,17 @@ from dgrasp.pool import Pool, PoolSpec, make_pool
 from dgrasp.types import Array, EpisodeRecord
 
 FLOOR = 0.0
-"""m. Height of the ground that the authors' table stands on; here there is none, so an episode ends at it."""
+"""m. Height of the ground under the authors' table. There is no ground here, so an episode ends at this height."""
 ON_FLOOR = "object fell to the floor"
 
 
 @dataclass(frozen=True)
 class Motions:
-    """What an experiment gave. records, targets: episodes and the places of their targets in the set, by label and then
-    by target. stable: (n_labels,) bool, which grasps passed the stability test. poses_per_target: 1 unless it moves.
+    """The outcome of an experiment.
+
+    records, targets: the episodes and the indices of their targets in the set, ordered by label, then by target.
+    stable: (n_labels,) bool, which grasps passed the stability test. steps: control steps of a motion.
+    poses_per_target: 1 for a target that stands still, more for a trajectory. events: what the pools report.
     """
 
     records: list[EpisodeRecord]
@@ -55,18 +58,18 @@ class Motions:
 
 
 def usual_set(choice: DataChoice) -> str:
-    """The targets that are taken where none are named: the authors' where their file is, else own ones like them."""
+    """The default targets: "easy", the authors', if the data has their file, else "near", which resembles them."""
     return "easy" if (choice.root / "labels" / EASY_FILE).is_file() else "near"
 
 
 def choose_targets(config: Config, choice: DataChoice) -> TargetSet:
-    """The set that `motion.targets` names; `DataError` where it is not there."""
+    """The set that `motion.targets` names; raises `DataError` if there is none."""
     name, period = config.motion.targets, config.control_period
     if name == "easy":
         path = choice.root / "labels" / EASY_FILE
         if not path.is_file():
-            raise DataError(f"{path}: no such file; the authors' targets come with their labels: give such a folder "
-                            "with --data, or choose other targets, such as --motion near")
+            raise DataError(f"{path}: no such file; the authors' targets come with their labels: give a folder that "
+                            "has them with --data, or choose other targets, such as --motion near")
         return easy_targets(path)
     if name in OWN_SETS:
         return OWN_SETS[name](config.seed)
@@ -82,7 +85,7 @@ def choose_targets(config: Config, choice: DataChoice) -> TargetSet:
 def run_motions(
     spec: PoolSpec, method: Method, targets: TargetSet, progress: Progress | None = None
 ) -> Motions:
-    """Move the labels of `spec` to targets. `DataError` if no grasp is stable."""
+    """Grasp the labels of `spec` and move them to targets. Raises `DataError` if no grasp is stable."""
     config, motion = spec.config, spec.config.motion
     per_label = motion.per_label
     if per_label is None and targets.name in ("easy", *OWN_SETS):
@@ -123,25 +126,26 @@ def run_motions(
 def stable_grasps(
     method: Method, spec: PoolSpec, progress: Progress | None = None
 ) -> tuple[Array, Cost, list[str]]:
-    """(N,) bool: which of a method's grasps of the labels pass the stability test; its cost and events.
+    """(N,) bool: which of a method's grasps of the labels pass the stability test; also the test's cost and events.
 
-    `DataError` if none does. method, spec: as `Method.grasping` gives them.
+    method, spec: as `Method.grasping` returns them. Raises `DataError` if no grasp passes.
     """
     records, cost, events = evaluate_labels(spec, method, progress)
     window_s = spec.config.eval.window_s
     stable = np.array([metrics.success(record, window_s) for record in records], bool)
     if not stable.any():
         raise DataError(f"none of the {len(stable)} grasps passes the stability test of {window_s:g} "
-                        "s, so there is nothing to move; motion.stable_alone=false moves them all the same")
+                        "s, so there is nothing to move; motion.stable_alone=false moves unstable grasps too")
     return stable, cost, events
 
 
 def move(
     pool: Pool, method: Method, config: Config, path: Array, steps: int, progress: Progress | None = None
 ) -> tuple[list[EpisodeRecord], Cost]:
-    """One episode per label: the grasp, then `steps` control steps along the path (N, P, 4, 4) of T_WG.
+    """Run one episode per label: the grasp, then `steps` control steps along the path (N, P, 4, 4) of T_WG.
 
-    A method that does not grasp first has as many steps in all, and the first target from the first of them.
+    A method without a separate grasping phase gets the same total number of steps, and the first target from its first
+    step.
     """
     grasp = grasp_steps(method, config)
     first = grasp
@@ -154,7 +158,7 @@ def move(
 
 
 def until_floor(record: EpisodeRecord) -> EpisodeRecord:
-    """The episode up to and with the step of its motion in which the object reached the floor, where it would lie."""
+    """The episode up to and including the step of the motion in which the object reached the floor."""
     fallen = np.flatnonzero(record.T_WO[record.window_start :, 2, 3] <= FLOOR)
     if not fallen.size:
         return record
@@ -165,8 +169,11 @@ def until_floor(record: EpisodeRecord) -> EpisodeRecord:
 
 
 def motion_row(record: EpisodeRecord, target: int, follows: bool) -> Row:
-    """The metrics of one motion: object, index, target (its place in the set), MPE, geodesic error, whether the object
-    was carried to the end; of a trajectory (follows) also the mean errors on the way."""
+    """The metrics of one motion.
+
+    A row has object, index, target (its index in the set), MPE, geodesic error, and whether the object was carried to
+    the end. For a trajectory (follows) it also has the mean errors along the path.
+    """
     row: Row = {"object": record.label.object_id, "index": record.label.index, "target": target}
     measured = {"mpe_m": metrics.mpe_m(record), "geodesic_rad": metrics.geodesic_rad(record)}
     if follows and measured["mpe_m"] is not None:
@@ -182,7 +189,7 @@ def motion_row(record: EpisodeRecord, target: int, follows: bool) -> Row:
 def motion_result(
     motions: Motions, method: Method, config: Config, choice: DataChoice, targets: TargetSet, labels: Sequence[Any]
 ) -> Result:
-    """The result of an experiment on the chosen labels, beside the paper's where they compare."""
+    """The result of an experiment on the chosen labels, with the paper's numbers if they are comparable."""
     rows = [
         motion_row(record, target, motions.poses_per_target > 1)
         for record, target in zip(motions.records, motions.targets, strict=True)
@@ -207,7 +214,7 @@ def motion_result(
 
 
 def check_moves(method: Method) -> None:
-    """`ConfigError` for a method that cannot move objects."""
+    """Raise `ConfigError` for a method that cannot move objects."""
     if method.motion == "never":
         raise ConfigError(f"--motion: {method.name} holds a pose and moves nothing; expected --policy, --run, or "
                           "--baseline static_grasp")

@@ -1,4 +1,4 @@
-"""Show and write a result: a table on the terminal, JSON, CSV and Markdown."""
+"""Print and write a result: a table on the terminal, JSON, CSV and Markdown."""
 
 from __future__ import annotations
 
@@ -43,10 +43,10 @@ _FILES_ALONE = ("sim_dist_mm_per_s", "sim_dist_wrist_mm_per_step", "interpenetra
 
 
 def print_table(result: Result, console: Console | None = None) -> None:
-    """The result as a table, ours beside the paper's where they compare, else a line that says they do not.
+    """Print the result as a table, beside the paper's numbers if they are comparable, else with a line that says why.
 
-    It fits 80 columns, so SimDist is shown in the tables' unit alone, and contacts where there is room; the files hold
-    all metrics.
+    The table fits 80 columns: it shows SimDist only in the unit of the paper's tables, and the contact ratio only if
+    there is room. The files hold all metrics.
     """
     console = console or Console()
     crowded = result.paper is not None and "interpenetration_cm3" in result.mean_over_labels
@@ -71,7 +71,7 @@ def title(result: Result) -> str:
 
 
 def remarks(result: Result) -> list[str]:
-    """Lines under the table: comparison with the paper, and what was used."""
+    """Lines under the table: the comparison with the paper, and the hand, labels, seed and code."""
     lines = []
     if not result.data.get("comparable_with_paper"):
         lines.append(NOT_COMPARABLE)
@@ -98,14 +98,14 @@ def remarks(result: Result) -> list[str]:
 
 
 def _about_interpenetration(result: Result) -> list[str]:
-    """Which meshes it was measured on, what is doubtful, and how the paper's numbers compare."""
+    """Lines about interpenetration: the meshes, doubtful measurements, and the paper's way of measuring."""
     about, mean = result.interpenetration, result.mean_over_objects
     if about is None or not about["measured"]:
         return []
     line = f"interpenetration: the hand's {about['hand_mesh']}, objects' {about['object_mesh']} meshes"
     line = line.replace("collision shapes meshes", "collision shapes")
     if not about["as_in_the_paper"]:
-        line += ", where the paper has MANO's skin and detailed objects"
+        line += "; the paper has MANO's skin and detailed object meshes"
     if about["holes_capped_in_objects"]:
         line += f"; {about['holes_capped_in_objects']} holes capped in the objects"
     if about["doubtful"] or about["failed"]:
@@ -114,7 +114,7 @@ def _about_interpenetration(result: Result) -> list[str]:
     lines = [f"{line}; {about['seconds_per_episode']:.2f} s per label"]
     if result.paper is not None and "interpenetration_shell_cm3" in result.paper:
         lines.append("the paper's interpenetration counts 5 mm cubes of the object's surface (docs/metrics.md); "
-                     f"counted so: {mean['interpenetration_shell_cm3']:.2f} cm3, paper "
+                     f"counted that way: {mean['interpenetration_shell_cm3']:.2f} cm3, paper "
                      f"{result.paper['interpenetration_shell_cm3']['average']:.2f}")
     return lines
 
@@ -142,12 +142,12 @@ def table_cells(result: Result, skip: Collection[str] = ()) -> tuple[list[str], 
 
 
 def json_text(result: Result, extra: Mapping[str, Any] | None = None) -> str:
-    """The JSON of the result, with further entries where there are some; it holds no NaN."""
+    """The JSON of the result, with the entries of `extra`; raises `ValueError` for NaN or infinity."""
     return json.dumps({**result.as_dict(), **(extra or {})}, indent=2, allow_nan=False) + "\n"
 
 
 def csv_text(result: Result) -> str:
-    """One line per label in the label file's order; a metric that a label lacks is an empty cell."""
+    """CSV with one line per label in the label file's order; the cell of a missing metric is empty."""
     columns = list(dict.fromkeys(key for row in result.per_label for key in row))
     stream = io.StringIO()
     writer = csv.DictWriter(stream, columns, lineterminator="\n")
@@ -165,17 +165,17 @@ def markdown_text(result: Result) -> str:
 
 
 def write_json(result: Result, path: Path, extra: Mapping[str, Any] | None = None) -> None:
-    """Write `json_text` in one step."""
+    """Write `json_text` atomically."""
     write_atomic(path, json_text(result, extra))
 
 
 def write_csv(result: Result, path: Path) -> None:
-    """Write `csv_text` in one step."""
+    """Write `csv_text` atomically."""
     write_atomic(path, csv_text(result))
 
 
 def write_markdown(result: Result, path: Path) -> None:
-    """Write `markdown_text` in one step."""
+    """Write `markdown_text` atomically."""
     write_atomic(path, markdown_text(result))
 
 

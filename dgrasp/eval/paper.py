@@ -1,4 +1,4 @@
-"""The numbers of the paper's tables, under this project's names of methods and metrics."""
+"""The numbers of the paper's tables, with this project's names of methods and metrics."""
 
 from __future__ import annotations
 
@@ -13,26 +13,26 @@ from dgrasp.labels.source import RELEASED
 
 _COLUMNS = {"gt_pd": "pd", "gt_ik": "ik", "policy": "ours"}
 _MISPRINTED = {("grasptta", "gt_ik")}
-"""The paper's +IK columns there repeat the other split's +PD columns."""
+"""Misprinted columns: the paper's +IK columns here repeat the +PD columns of the other split."""
 
 Column = dict[str, dict[str, float]]
 
 
 @cache
 def paper_tables() -> dict[str, Any]:
-    """All tables as printed: experiment, split, object (or "average"), method. Not to be changed."""
+    """All tables as printed: experiment, split, object (or "average"), method. Callers must not modify them."""
     text = (Path(__file__).parent / "paper_tables.yaml").read_text(encoding="utf-8")
     tables: dict[str, Any] = yaml.safe_load(text)
     return tables
 
 
 def paper_column(labels_source: str, split: str, method: str) -> Column | None:
-    """One method's column: for each object, and "average" as printed, its metrics by this project's names.
+    """One method's column: object, or "average" as printed -> metric, by this project's name -> value.
 
     labels_source: "dexycb", "grasptta" or "contactopt". split: "train" or "test". method: "gt_pd", "gt_ik" or
     "policy". Metrics: success, sim_dist_mm_per_step (the printed mean), interpenetration_cm3, and the same number as
-    interpenetration_shell_cm3, which is how it was measured (docs/metrics.md). None where the paper has no such column
-    or it is misprinted.
+    interpenetration_shell_cm3, because the paper measured the shell (docs/metrics.md). None if the paper has no such
+    column or the column is misprinted.
     """
     source = RELEASED.get(labels_source)
     if source is None or not source.comparable_with_paper:
@@ -53,7 +53,7 @@ _MOTION = {"policy": "ours", "static_grasp": "static_grasp", "flat_rl": "flat_rl
 
 
 def motion_column(method: str, objects: Collection[str], targets: str) -> Column | None:
-    """One row of the motion table, as metric -> {"average": value}; the paper has no numbers per object.
+    """One row of the motion table, as metric -> {"average": value}. The paper has no numbers per object.
 
     method: "policy", "static_grasp", "flat_rl" or "learned_motion". Metrics: mpe_m, geodesic_rad. None for other
     methods, for objects other than the paper's six, and for targets other than "easy", the authors'.

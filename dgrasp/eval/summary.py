@@ -1,4 +1,4 @@
-"""From evaluated episodes to one result: rows per label, means per object and over all, beside the paper's numbers."""
+"""Summarise evaluated episodes as one result: rows per label, means per object and overall, and the paper's numbers."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ from dgrasp.types import EpisodeRecord
 
 SCHEMA = 1
 MIN_OBJECTS = 3
-"""Below this number of objects a correlation with the paper says nothing and is not given."""
+"""Smallest number of objects for a correlation with the paper; with fewer it is meaningless."""
 
 NO_METRICS = ("index", "lost_s", "target")
-"""Numbers of a row that are not averaged: `lost_s` is there only where the object was lost."""
+"""Numbers of a row that are not averaged. A row has `lost_s` only if the object was lost."""
 
 Row = dict[str, Any]
 Means = dict[str, float]
@@ -30,19 +30,25 @@ Means = dict[str, float]
 
 @dataclass(frozen=True)
 class Result:
-    """One evaluation; `as_dict` is the JSON of `--json`, whose keys are these fields.
+    """One evaluation; its fields are the keys of the JSON of `--json` (`as_dict`).
 
-    method: "gt_pd", "gt_ik", "policy", ... window_s: the stability window, s. commit: of the code, or its
-    version. data: `DataChoice.stamp()`. mean_over_objects, mean_over_labels: metric -> mean; per_object: object ->
-    "n" and its means; per_label: rows in the label file's order, each with object, index, its metrics, and
-    "terminated" with the reason where the episode ended early. A metric that was not computed is absent.
-    paper: metric -> {object: the paper's value, "average": ...} for the objects evaluated here; the average is
-    the printed one if all of the paper's objects are here, else the mean of those shown. None where the paper has
-    no number for this method, labels and hand. correlation_with_paper: metric -> Pearson's r of the
-    per-object means and the paper's; None where it is not defined. cost: control_steps, wall_s, physics_share.
-    intervals: of the means (see `dgrasp.eval.intervals`). interpenetration: what that metric was measured on
-    (`Interpenetration.report`); absent from the JSON where it was not measured. motion: of an experiment that moves
-    objects, what to and how (`dgrasp.eval.motion`), else absent; a row of `per_label` is then one label and target.
+    method: "gt_pd", "gt_ik", "policy", ...
+    window_s: the stability window, s.
+    commit: the commit of the code, or its version.
+    data: `DataChoice.stamp()`.
+    mean_over_objects, mean_over_labels: metric -> mean.
+    per_object: object -> "n" and its means.
+    per_label: rows in the label file's order, each with object, index, its metrics, and "terminated" with the reason if
+    the episode ended early. A metric that was not computed is absent.
+    paper: metric -> {object: the paper's value, "average": ...} for the evaluated objects. The average is the printed
+    one if all of the paper's objects were evaluated, else the mean of those shown. None if the paper has no number for
+    this method, labels and hand.
+    correlation_with_paper: metric -> Pearson's r of the per-object means and the paper's; None if it is not defined.
+    cost: control_steps, wall_s, physics_share.
+    intervals: intervals of the means (see `dgrasp.eval.intervals`).
+    interpenetration: how that metric was measured (`Interpenetration.report`); absent from the JSON if it was not.
+    motion: the targets and the method of an experiment that moves objects (`dgrasp.eval.motion`), in which a row of
+    `per_label` is one label and target; absent from the JSON for other experiments.
     """
 
     schema: int
@@ -72,9 +78,9 @@ class Result:
 
 
 def label_row(record: EpisodeRecord, window_s: float) -> Row:
-    """The metrics of one episode as a row; further metrics may be added to it under names of their own.
+    """The metrics of one episode as a row. Callers may add further metrics under other names.
 
-    A lost object has `failure`, its class, and `lost_s`, when (`failures.outcome`).
+    The row of a lost object has `failure`, its class, and `lost_s`, the time of the loss (`failures.outcome`).
     """
     row: Row = {"object": record.label.object_id, "index": record.label.index}
     row["success"] = metrics.success(record, window_s)
@@ -104,9 +110,9 @@ def summarise(
 ) -> Result:
     """The result of evaluated episodes, given as records or as rows like those of `label_row`, in file order.
 
-    data: `DataChoice.stamp()`; its comparable_with_paper, source and split choose the paper's column. Every
-    number in a row but `NO_METRICS` is a metric and is averaged over the labels that have it. Raises `DataError` for
-    no episodes and for a metric that is NaN or infinite.
+    data: `DataChoice.stamp()`; its comparable_with_paper, source and split select the paper's column.
+    Every number in a row except `NO_METRICS` is a metric and is averaged over the labels that have it.
+    Raises `DataError` if there are no episodes, or if a metric is NaN or infinite.
     """
     rows = [label_row(e, window_s) if isinstance(e, EpisodeRecord) else _checked(e) for e in episodes]
     if not rows:
@@ -138,7 +144,7 @@ def summarise(
 
 
 def code_version() -> str:
-    """The commit of the source tree that runs, or the package's version where it is not a git checkout."""
+    """The commit of the running source tree, or the package's version if it is not a git checkout."""
     if is_checkout() and (shipped_root() / ".git").exists():
         try:
             done = subprocess.run(["git", "rev-parse", "HEAD"], cwd=shipped_root(), capture_output=True, text=True,
@@ -150,12 +156,12 @@ def code_version() -> str:
 
 
 def is_metric(name: str, value: Any) -> bool:
-    """Whether an entry of a row is a number that is averaged."""
+    """Whether an entry of a row is a number to average."""
     return name not in NO_METRICS and isinstance(value, (bool, int, float, np.bool_, np.number))
 
 
 def _checked(row: Mapping[str, Any]) -> Row:
-    """The row with plain values and without what was not computed."""
+    """The row with plain values and without None entries; raises `DataError` for a metric that is not finite."""
     place = f"{row['object']}[{row['index']}]"
     out: Row = {}
     for name, value in row.items():
@@ -163,8 +169,8 @@ def _checked(row: Mapping[str, Any]) -> Row:
             continue
         out[name] = value.item() if isinstance(value, np.generic) else value
         if is_metric(name, value) and not np.isfinite(float(value)):
-            raise DataError(f"{place}: metric {name} is {value}; expected a finite number, or no entry where it "
-                            "could not be computed")
+            raise DataError(f"{place}: metric {name} is {value}; expected a finite number, or no entry if it could not "
+                            "be computed")
     return out
 
 
@@ -190,7 +196,7 @@ def _means(rows: Sequence[Mapping[str, Any]]) -> Means:
 
 
 def _beside(column: Column, ours: Mapping[str, Means]) -> dict[str, dict[str, float]] | None:
-    """The paper's values, metric by metric, of the objects that were evaluated."""
+    """The paper's values of the evaluated objects: metric -> object, or "average" -> value; None if it has none."""
     shown = [name for name in ours if name in column]
     if not shown:
         return None
@@ -204,7 +210,7 @@ def _beside(column: Column, ours: Mapping[str, Means]) -> dict[str, dict[str, fl
 
 
 def _correlations(paper: Mapping[str, Mapping[str, float]], ours: Mapping[str, Means]) -> dict[str, float] | None:
-    """Pearson's r over objects for each metric that both have; None where there is none."""
+    """Pearson's r over objects for each metric that both have; None if there is no such metric."""
     found = {}
     for metric, values in paper.items():
         shared = [name for name in values if metric in ours.get(name, {})]

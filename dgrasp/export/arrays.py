@@ -22,7 +22,7 @@ UNITS = "m, rad, s, N; world frame, z up; quaternions w, x, y, z; Euler angles i
 
 
 def npz_bytes(sequence: StoredSequence, mano: Path | None = None) -> bytes:
-    """The arrays of `sequence_arrays` and a JSON text `meta` with their names, units and origin."""
+    """The bytes of an .npz: the arrays of `sequence_arrays`, and `meta`, a JSON text with names, units and origin."""
     record, about = sequence.record, sequence.about
     meta = {
         "format": "dgrasp-export", "schema": 1, "units": UNITS, "object": record.label.object_id,
@@ -39,10 +39,10 @@ def npz_bytes(sequence: StoredSequence, mano: Path | None = None) -> bytes:
 
 
 def sequence_arrays(sequence: StoredSequence, mano: Path | None = None) -> dict[str, Array]:
-    """Arrays of T steps, as docs/export.md lists them.
+    """Arrays of T steps; docs/export.md lists them.
 
-    mano: the MANO file that the hand was made from, for `mano_transl` where the sequence does not know the root joint.
-    Raises `DataError` for another file than that.
+    mano: the MANO file that the hand was made from; `mano_transl` needs it if the sequence does not store the root
+    joint. Raises `DataError` if it is another file.
     """
     record = sequence.record
     arrays = {
@@ -64,7 +64,7 @@ def sequence_arrays(sequence: StoredSequence, mano: Path | None = None) -> dict[
 
 
 def mano_note(sequence: StoredSequence) -> str:
-    """Which MANO parameters the arrays hold, or why there are none."""
+    """A remark that explains the arrays' MANO parameters, or why there are none."""
     origin, hand = sequence.about["mano"], sequence.record.label.hand
     if origin is None:
         return f"none: the hand {hand!r} was not made from a MANO file"
@@ -76,7 +76,7 @@ def _mano(sequence: StoredSequence, file: Path | None) -> dict[str, Array]:
     origin, record = sequence.about["mano"], sequence.record
     if origin is None:
         return {}
-    # Ten zeros are the mean shape, and what MANO's layers expect.
+    # MANO layers expect at least ten betas; zeros are the mean shape.
     betas = np.zeros(max(10, len(origin["betas"])))
     betas[: len(origin["betas"])] = origin["betas"]
     arrays = {

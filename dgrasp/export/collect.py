@@ -1,4 +1,4 @@
-"""From an evaluation to what can be shown and stored: meshes to draw, and sequences."""
+"""Collect what can be shown and stored of an evaluation: meshes to draw, and sequences."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from dgrasp.view.meshes import OBJECT_FACES, DisplayMeshes, hand_meshes, light
 
 
 def display_meshes(choice: DataChoice, spec: PoolSpec) -> dict[str, DisplayMeshes]:
-    """Light meshes of the hand and of each of the objects, by the objects' names."""
+    """Light meshes of the hand and of each object, by object name."""
     hand = hand_meshes(spec.hand)
     bodies = build_bodies(choice, spec.objects)
     return {name: DisplayMeshes(spec.hand.chain, spec.hand.layout.names.parts, hand, light(entry.body, OBJECT_FACES))
@@ -31,7 +31,7 @@ def display_meshes(choice: DataChoice, spec: PoolSpec) -> dict[str, DisplayMeshe
 
 
 def mano_origin(choice: DataChoice, hand: HandModel, config: Config) -> dict[str, Any] | None:
-    """Side and betas of a hand that was made from MANO, and with `eval.mano` its root joint (3,) m; None for others."""
+    """Side and betas of a hand made from MANO, and, with `eval.mano`, its root joint (3,) m; None for other hands."""
     folder = choice.hand_urdf.parent
     if is_built_hand(folder):
         meta = built_hand(folder)[2]
@@ -52,7 +52,7 @@ def sequences(
     result: Result, records: Sequence[EpisodeRecord], spec: PoolSpec, choice: DataChoice,
     meshes: Mapping[str, DisplayMeshes],
 ) -> Iterator[StoredSequence]:
-    """What is stored of each episode; those that broke in their first step leave nothing."""
+    """The sequences of the episodes, without episodes that broke in their first step."""
     about = {
         "method": result.method, "engine": result.engine, "window_s": result.window_s, "code": result.commit,
         "timestep_s": spec.config.physics.timestep, "data": result.data,

@@ -15,24 +15,24 @@ from dgrasp.types import Array
 from dgrasp.view.frames import SIZE, gif_bytes, record_pictures
 
 GIF_EVERY = 2
-"""A GIF shows every second control step: its frames last at least 20 ms."""
+"""A GIF shows every second control step, because its frames last at least 20 ms."""
 
 
 def pictures(sequence: StoredSequence, every: int = 1, size: tuple[int, int] = SIZE) -> Iterator[Array]:
-    """Frames (height, width, 3) uint8, one for every `every` control steps."""
+    """Frames (height, width, 3) uint8, one every `every` control steps."""
     table = sequence.about["table"]
     return record_pictures(sequence.record, sequence.meshes, (table["top_m"], table["lowered_m"]), every, size)
 
 
 def gif(sequence: StoredSequence) -> bytes:
-    """An endless GIF."""
+    """The bytes of an endless GIF at the sequence's own speed."""
     return gif_bytes(list(pictures(sequence, GIF_EVERY)), GIF_EVERY * sequence.record.dt)
 
 
 def write_mp4(path: Path, sequence: StoredSequence) -> None:
-    """Write an mp4 (H.264) at the sequence's own speed, in one step.
+    """Write an mp4 (H.264) at the sequence's own speed, atomically.
 
-    Raises `ConfigError` where imageio-ffmpeg is not installed, `DataError` where the file cannot be written.
+    Raises `ConfigError` if imageio-ffmpeg is not installed, `DataError` if the file cannot be written.
     """
     try:
         import imageio_ffmpeg

@@ -1,4 +1,4 @@
-"""A sequence as a binary glTF 2.0 file (GLB): hand parts, object and table as nodes with a keyframed animation."""
+"""Export a sequence as a binary glTF 2.0 file (GLB): hand parts, object and table as nodes with keyframe animation."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from dgrasp.types import Array
 from dgrasp.view.meshes import Mesh, body_poses, table_tops
 
 _CREASE = 0.66
-"""rad. Faces that meet at a sharper angle keep an edge between them."""
+"""rad. The edge between two faces stays sharp if their normals differ by more than this angle."""
 _COLORS = {"hand": (0.86, 0.72, 0.60), "object": (0.16, 0.50, 0.74), "table": (0.80, 0.80, 0.78)}
 _UP = [-(0.5**0.5), 0.0, 0.0, 0.5**0.5]
-"""The turn (x, y, z, w) from the world's frame, z up, to glTF's, y up."""
+"""The rotation (x, y, z, w) from the world frame, z up, to glTF's frame, y up."""
 _FLOAT, _UINT, _VERTICES, _INDICES = 5126, 5125, 34962, 34963
 
 
 def glb_bytes(sequence: StoredSequence) -> bytes:
-    """The file. Its node `dgrasp` turns z up to y up; below it all places are those of the world, in m."""
+    """The bytes of the file. Its node `dgrasp` rotates z up to y up; nodes below it are in the world frame, m."""
     record, meshes = sequence.record, sequence.meshes
     file = _File()
     q, t = body_poses(meshes, record)
@@ -66,7 +66,7 @@ def glb_bytes(sequence: StoredSequence) -> bytes:
 
 
 class _File:
-    """Binary data and what describes it."""
+    """Collects binary data, and the JSON that describes it."""
 
     def __init__(self) -> None:
         self._parts: list[bytes] = []
@@ -76,7 +76,7 @@ class _File:
         self._meshes: list[dict[str, Any]] = []
 
     def accessor(self, values: Array, kind: str, target: int | None = None, bounds: bool = False) -> int:
-        """Numbers of 4 bytes: whole ones for indices, else float32; bounds: with lowest and highest."""
+        """Add an array and return its index. Stored as uint32 for indices, else float32. bounds: add min and max."""
         packed = np.ascontiguousarray(values, dtype="<u4" if target == _INDICES else "<f4")
         view: dict[str, Any] = {"buffer": 0, "byteOffset": self._size, "byteLength": packed.nbytes}
         self._views.append(view if target is None else {**view, "target": target})
@@ -93,8 +93,8 @@ class _File:
         return len(self._accessors) - 1
 
     def mesh(self, name: str, shape: Mesh, material: str) -> int:
-        """A mesh with normals, sharp where faces meet at an edge."""
-        import trimesh  # Late: it takes a second.
+        """Add a mesh with normals and return its index; edges above `_CREASE` stay sharp."""
+        import trimesh  # Imported here because it takes a second.
 
         whole = trimesh.Trimesh(shape.vertices, shape.faces, process=False)
         smooth = trimesh.graph.smooth_shade(whole, angle=_CREASE)
@@ -109,7 +109,7 @@ class _File:
         return len(self._meshes) - 1
 
     def bytes(self, document: dict[str, Any]) -> bytes:
-        """The file of a document without its buffers."""
+        """The bytes of the file. document: the glTF document without materials, meshes and buffers."""
         materials = [
             # glTF's colours are linear, ours sRGB.
             {"name": name, "pbrMetallicRoughness": {"baseColorFactor": [*(c**2.2 for c in color), 1.0],

@@ -1,17 +1,19 @@
-"""Evaluated sequences on disk: one .npz for each, whole in itself, written by `test.py --records DIR`.
+"""Evaluated sequences on disk: one self-contained .npz for each, written by `test.py --records DIR`.
 
-Members (T control steps; m, rad, s, world frame with z up; float32 unless said otherwise):
-`meta` a JSON text: method, engine, window_s, timestep_s, dt, window_start, terminated, table, the label's place, the
-result row, the stamp of the data, and of a hand made from MANO its side and betas;
-`gc` (T, D), `T_WH`, `T_WO` (T, 4, 4), `joints_W` (T, K, 3), `contact_impulse` (T, P) N s per substep, `contacts`
-(T, P) and `table_contact` (T,) bool, `reward` (T,): as in `EpisodeRecord`; `target_T_WO` (T, 4, 4), or (4, 4) for a
-pose that stands, is the record's T_WG where it has one; `label_*`: the grasp label, float64;
-`parents` (P,), `offsets` (P, 3), `joint_parts` (J,), `axes` (J, 3), `joint_frames` (J, 3, 3), `keypoint_parts` (K,),
-`keypoint_offsets` (K, 3): the hand's `Kinematics`, float64 and int64;
-`mesh_vertices` (V, 3), `mesh_faces` (F, 3) and `mesh_sizes` (P + 1, 2) int32: light meshes of the parts and the object,
-one after the other, with each one's numbers of vertices and faces.
-`meta` names the hand's joints, parts and key points. Files of schema 1 have neither names nor kinematics beside
-`offsets`: they are of hands with MANO's joints.
+Members (T control steps; m, rad, s, world frame with z up; float32 unless stated otherwise):
+- `meta`: a JSON text with method, engine, window_s, timestep_s, dt, window_start, terminated, table, the label's
+  object and index, the result row, the stamp of the data, the names of the hand's joints, parts and key points, and,
+  for a hand made from MANO, its side and betas.
+- `gc` (T, D), `T_WH`, `T_WO` (T, 4, 4), `joints_W` (T, K, 3), `contact_impulse` (T, P) N s per substep, `contacts`
+  (T, P) and `table_contact` (T,) bool, `reward` (T,): as in `EpisodeRecord`.
+- `target_T_WO` (T, 4, 4), or (4, 4) for a constant pose: the record's T_WG, if it has one.
+- `label_*`: the grasp label, float64.
+- `parents` (P,), `offsets` (P, 3), `joint_parts` (J,), `axes` (J, 3), `joint_frames` (J, 3, 3), `keypoint_parts` (K,),
+  `keypoint_offsets` (K, 3): the hand's `Kinematics`, float64 and int64.
+- `mesh_vertices` (V, 3), `mesh_faces` (F, 3), `mesh_sizes` (P + 1, 2) int32: light meshes of the parts and the object,
+  concatenated; `mesh_sizes` has each mesh's numbers of vertices and faces.
+
+Files of schema 1 have no names, and of the kinematics only `offsets`; their hands have MANO's joints.
 """
 
 from __future__ import annotations
@@ -48,15 +50,15 @@ _ABOUT = {"method": str, "engine": str, "window_s": float, "timestep_s": float, 
 
 
 _NUMBERS = ("lost_s", "mpe_m", "geodesic_rad", "sim_dist_mm_per_step", "contact_ratio", "interpenetration_cm3")
-"""Of a row, what pages show as numbers."""
+"""Entries of a row that pages show as numbers."""
 
 
 @dataclass(frozen=True, eq=False)
 class StoredSequence:
-    """An evaluated sequence with what draws it, and the names of the hand's joints, parts and key points.
+    """An evaluated sequence, the meshes that draw it, and the names of the hand's joints, parts and key points.
 
-    about: method, engine, window_s, timestep_s, table ("top_m", "lowered_m"), row (the result's), data (the stamp), and
-    mano: None, or of a hand made from MANO its side, betas and, where known, root_joint (3,) m.
+    about: method, engine, window_s, timestep_s, table ("top_m", "lowered_m"), row (of the result), data (the stamp),
+    and mano: for a hand made from MANO its side, betas and, if known, root_joint (3,) m; None for other hands.
     """
 
     record: EpisodeRecord
@@ -66,24 +68,24 @@ class StoredSequence:
 
 
 def file_name(label: GraspLabel) -> str:
-    """Such as `004_sugar_box_0003.npz`."""
+    """The file name of a label's sequence, such as `004_sugar_box_0003.npz`."""
     return f"{label.object_id}_{label.index:04d}.npz"
 
 
 def check_folder(folder: Path) -> None:
-    """Raises `DataError` unless sequences can go to `folder`: a new one, or an empty one."""
+    """Raise `DataError` unless `folder` is new or empty."""
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise DataError(f"{folder} exists and is not an empty folder; choose another one, or remove it")
 
 
 def write_folder(folder: Path, sequences: Iterable[StoredSequence]) -> int:
-    """One file for each sequence; returns how many. Raises `DataError` for a folder that is not empty."""
+    """Write one file for each sequence; returns how many. Raises `DataError` for a folder that is not empty."""
     check_folder(folder)
     written: set[str] = set()
     for sequence in sequences:
         name = file_name(sequence.record.label)
         if name in written:
-            # Two sources in one label file may count alike.
+            # A label file with two sources can have two labels with the same object and index.
             name = f"{name[:-4]}_{len(written)}.npz"
         write_sequence(folder / name, sequence)
         written.add(name)
@@ -91,7 +93,7 @@ def write_folder(folder: Path, sequences: Iterable[StoredSequence]) -> int:
 
 
 def write_sequence(path: Path, sequence: StoredSequence) -> None:
-    """Write one sequence in one step."""
+    """Write one sequence atomically."""
     record, meshes, label = sequence.record, sequence.meshes, sequence.record.label
     meta = {
         "format": FORMAT, "schema": SCHEMA, **sequence.about, "dt": record.dt, "window_start": record.window_start,
@@ -123,7 +125,7 @@ def _packed(name: str, values: Array) -> Array:
 
 
 def read_sequence(path: Path) -> StoredSequence:
-    """A sequence that `write_sequence` wrote; a `DataError` says what is wrong with another file."""
+    """Read a sequence that `write_sequence` wrote. Raises `DataError` for a file that is damaged or of another kind."""
     path = Path(path)
     with open_npz(path, "stored sequence", MAX_BYTES) as archive:
         if "meta.npy" not in archive.names:
@@ -134,19 +136,19 @@ def read_sequence(path: Path) -> StoredSequence:
                     "mesh_sizes"]
         lacking = [name for name in required if f"{name}.npy" not in archive.names]
         if lacking:
-            raise DataError(f"{path}: lacks {', '.join(lacking)}; write it anew with `test.py --records DIR`")
+            raise DataError(f"{path}: lacks {', '.join(lacking)}; write it again with `test.py --records DIR`")
         a = {name: archive.read(name, "biuf") for name in required}
         T_WG = archive.read("target_T_WO", "f") if "target_T_WO.npy" in archive.names else None
     steps = len(a["gc"]) if a["gc"].ndim else 0
     names = _names(path, meta)
     for name, shape in _shapes(names, steps, chain_members).items():
         if a[name].shape != shape:
-            raise DataError(f"{path}: {name} has shape {a[name].shape}; expected {shape}; write the file anew")
+            raise DataError(f"{path}: {name} has shape {a[name].shape}; expected {shape}; write the file again")
     if T_WG is not None and T_WG.shape not in ((4, 4), (steps, 4, 4)):
         raise DataError(f"{path}: target_T_WO has shape {T_WG.shape}; expected (4, 4) or {(steps, 4, 4)}")
     bad = [name for name in (*chain_members, "mesh_vertices") if not np.isfinite(a[name]).all()]
     if bad:
-        raise DataError(f"{path}: {', '.join(bad)} hold NaN or infinity; write the file anew")
+        raise DataError(f"{path}: {', '.join(bad)} hold NaN or infinity; write the file again")
     chain = _chain(path, a) if meta["schema"] > 1 else mano_kinematics(a["offsets"])
     if not steps:
         raise DataError(f"{path}: the sequence has no steps: its simulation broke at once")
@@ -168,7 +170,7 @@ def read_sequence(path: Path) -> StoredSequence:
 
 
 def _shapes(names: HandNames, steps: int, chain_members: Sequence[str]) -> dict[str, tuple[int, ...]]:
-    """Of the members of a sequence."""
+    """Member -> its expected shape. steps: T."""
     joints, parts, points = len(names.joints), len(names.parts), len(names.keypoints)
     states: dict[str, tuple[int, ...]] = {
         "gc": (N_WRIST + joints,), "T_WH": (4, 4), "T_WO": (4, 4), "joints_W": (points, 3),
@@ -192,7 +194,7 @@ def _names(path: Path, meta: dict[str, Any]) -> HandNames:
     told = meta.get("names")
     tables = [told.get(field.name) for field in fields(HandNames)] if isinstance(told, dict) else [None]
     if not all(isinstance(table, list) and table and all(isinstance(name, str) for name in table) for table in tables):
-        raise DataError(f"{path}: its description does not name joints, parts and key points; write the file anew")
+        raise DataError(f"{path}: its description does not name joints, parts and key points; write the file again")
     return HandNames(*(tuple(table or ()) for table in tables))
 
 
@@ -202,12 +204,12 @@ def _chain(path: Path, a: dict[str, Array]) -> Kinematics:
     if not whole or a["parents"][0] != -1 or (a["parents"][1:] >= index[1:]).any() or (a["parents"][1:] < 0).any() or (
         any((a[name] < 0).any() or (a[name] >= parts).any() for name in ("joint_parts", "keypoint_parts"))
     ):
-        raise DataError(f"{path}: parents, joint_parts or keypoint_parts name no parts of the hand; write it anew")
+        raise DataError(f"{path}: parents, joint_parts or keypoint_parts name no parts of the hand; write it again")
     return Kinematics(**{name: a[name] for name in _CHAIN})
 
 
 def _no_constant(text: str) -> float:
-    raise ValueError(f"{text} is no number of JSON")
+    raise ValueError(f"{text} is not a JSON number")
 
 
 def _meta(path: Path, text: Array) -> dict[str, Any]:
@@ -218,7 +220,7 @@ def _meta(path: Path, text: Array) -> dict[str, Any]:
     if not isinstance(meta, dict) or meta.get("format") != FORMAT:
         raise DataError(f"{path}: no stored sequence; expected a file of `test.py --records DIR`")
     if meta.get("schema") not in (1, SCHEMA):
-        raise DataError(f"{path}: schema {meta.get('schema')}; this program reads 1 to {SCHEMA}; write the file anew "
+        raise DataError(f"{path}: schema {meta.get('schema')}; this program reads 1 to {SCHEMA}; write the file again "
                         "with `test.py --records DIR`")
     wrong = [key for key, kind in _ABOUT.items() if not isinstance(meta.get(key), kind)]
     if not wrong:
@@ -237,7 +239,7 @@ def _meta(path: Path, text: Array) -> dict[str, Any]:
         }
         wrong = [key for key, ok in sound.items() if not ok]
     if wrong:
-        raise DataError(f"{path}: its description is incomplete or wrong ({', '.join(wrong)}); write it anew with "
+        raise DataError(f"{path}: its description is incomplete or wrong ({', '.join(wrong)}); write it again with "
                         "`test.py --records DIR`")
     return meta
 
@@ -246,20 +248,20 @@ def _meshes(path: Path, bodies: Sequence[str], vertices: Array, faces: Array, si
     if vertices.ndim != 2 or faces.ndim != 2 or vertices.shape[1] != 3 or faces.shape[1] != 3 or (sizes < 0).any() or (
         tuple(sizes.sum(axis=0)) != (len(vertices), len(faces))
     ):
-        raise DataError(f"{path}: mesh_sizes do not add up to mesh_vertices and mesh_faces; write the file anew")
+        raise DataError(f"{path}: mesh_sizes do not add up to mesh_vertices and mesh_faces; write the file again")
     meshes: list[Mesh] = []
     v = f = 0
     for n_vertices, n_faces in sizes.tolist():
         own = faces[f : f + n_faces]
         if n_faces and not 0 <= own.min() <= own.max() < n_vertices:
-            raise DataError(f"{path}: a face of {bodies[len(meshes)]} has a vertex that is not there")
+            raise DataError(f"{path}: a face of {bodies[len(meshes)]} names a vertex that does not exist")
         meshes.append(Mesh(vertices[v : v + n_vertices].astype(np.float64), own.astype(np.int64)))
         v, f = v + n_vertices, f + n_faces
     return meshes
 
 
 def sequence_files(source: Path) -> list[Path]:
-    """The stored sequences that `source` names: a file, or all .npz of a folder."""
+    """The stored sequences of `source`: the file itself, or every .npz of a folder."""
     if os.path.isfile(source):
         return [source]
     found: Sequence[Path] = sorted(source.glob("*.npz")) if os.path.isdir(source) else []

@@ -1,6 +1,6 @@
-"""The report's charts as inline SVG: bars per object, success over time, where grasps fail.
+"""The report's charts as inline SVG: bars per object, success over time, outcomes.
 
-Colours come from the page's style sheet by class, so that they follow light and dark.
+Classes of the page's style sheet set the colours, so that the charts follow light and dark mode.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from dgrasp.eval.summary import Result
 from dgrasp.types import Array
 
 _LABELS, _ROW, _PANEL, _GAP = 178, 22, 232, 62
-"""px: the column of names, a row, a panel of bars, and between panels."""
+"""px: width of the names' column, height of a row, width of a panel of bars, gap between panels."""
 
 PANELS = {
     "success": ("Success", "share of labels held", "{:.2f}"),
@@ -29,14 +29,18 @@ PANELS = {
 
 
 def shown_metrics(result: Result) -> list[str]:
-    """The bars' metrics; of both interpenetrations the one that the paper's numbers are (docs/metrics.md)."""
+    """The metrics with bars.
+
+    They include one interpenetration: by the shell, as in the paper (docs/metrics.md), if the result has the paper's
+    numbers, else by volume.
+    """
     other = "interpenetration_cm3" if "interpenetration_shell_cm3" in (result.paper or {}) else (
         "interpenetration_shell_cm3")
     return [name for name in PANELS if name in result.mean_over_objects and name != other]
 
 
 def bars(result: Result) -> str:
-    """Bars of each object's means with their intervals, a diamond for the paper's number where there is one."""
+    """Bars of each object's means with their intervals, and a diamond for the paper's number if there is one."""
     metrics = shown_metrics(result)
     names = [*result.per_object, "mean over objects"]
     top, height = 46, 46 + _ROW * len(names) + 14
@@ -83,12 +87,12 @@ def _panel(result: Result, metric: str, left: float, top: float, names: Sequence
 
 
 def _middle(top: float, row: int, rows: int) -> float:
-    """Middle of a row; the last one, the mean, stands apart."""
+    """y of a row's middle; the last row, the mean, is set apart."""
     return top + _ROW * row + _ROW / 2 + (6 if row == rows - 1 else 0)
 
 
 def held(times: Array, shares: Mapping[str, Array], paper: float | None) -> str:
-    """The share of grasps not yet lost over the window (s): a thin line per object, a thick one for their mean."""
+    """The share of grasps not yet lost over time (s): a thin line per object, a thick line for their mean."""
     left, right, top, width, height = 44, 92, 12, 560, 300
     inner, tall = width - left - right, height - top - 40
     mean = np.mean(list(shares.values()), axis=0)
@@ -115,14 +119,14 @@ def held(times: Array, shares: Mapping[str, Array], paper: float | None) -> str:
     if paper is not None:
         at = top + tall * (1.0 - paper)
         parts.append(f'<path class="paper" d="M{left + inner:.1f} {at - 5.5:.1f}l5.5 5.5 -5.5 5.5 -5.5 -5.5z"/>')
-        # Two numbers that are close to each other must not lie on top of each other.
+        # Two close numbers must not overlap.
         shifted = at + (0 if abs(at - y) > 16 else 16 if at >= y else -16)
         parts.append(_text(left + inner + 10, shifted + 4, f"{paper:.2f} paper", "muted"))
     return _svg(width, height, "Share of grasps held over time", parts)
 
 
 def failures(table: Mapping[str, Any]) -> str:
-    """Counts of outcomes per object as stacked bars of the same length, the numbers in them (`failures.report`)."""
+    """Outcomes per object as stacked bars of equal length, labelled with counts. table: from `failures.report`."""
     rows = {"all labels": table["all"], **table["per_object"]}
     left, width, top = _LABELS, 560, 4
     inner = width - left - 40
@@ -146,7 +150,7 @@ def failures(table: Mapping[str, Any]) -> str:
 
 
 def _nice(value: float) -> float:
-    """The smallest of 1, 2, 2.5, 4, 5 times a power of ten that is not below `value`."""
+    """The smallest of 1, 2, 2.5, 4, 5 times a power of ten that is not below `value`; 1 if `value` is not positive."""
     if not value > 0.0:
         return 1.0
     power = 10.0 ** np.floor(np.log10(value))

@@ -1,5 +1,5 @@
 "use strict";
-// The report's controls: the stage with its timeline, and the strips of worst and best grasps.
+// The report's controls: the viewer with its timeline, and the strips of worst and best grasps.
 
 (() => {
   const find = (id) => document.getElementById(id);
@@ -39,7 +39,7 @@
     }
   }
 
-  // The picture that tells most: just after the loss, or the end of the window.
+  // The most informative frame: just after the loss, or the end of the window.
   function telling(r) {
     const loss = Replays.lossFrame(r);
     return loss === null ? r.n - 1 : Math.min(r.n - 1, loss + 0.08 / r.dt);
@@ -60,7 +60,7 @@
     slider.value = frame;
     find("time").textContent = `${t < 0 ? "\u2212" : "+"}${Math.abs(t).toFixed(2)} s`;
     const lost = loss !== null && frame > loss + 0.5;
-    const phases = r.stays ? ["grasping", "moving"] : ["table there", "table gone"];
+    const phases = r.stays ? ["grasping", "moving"] : ["table present", "table removed"];
     const phase = lost ? `lost (${r.outcome})` : phases[t < 0 ? 0 : 1];
     find("phase").textContent = phase;
     find("phase").dataset.lost = lost;
@@ -142,7 +142,7 @@
   });
   for (const end of ["pointerup", "pointercancel"]) stage.addEventListener(end, (e) => pointers.delete(e.pointerId));
   stage.addEventListener("wheel", (e) => {
-    // A page that is scrolled past the picture must not get stuck in it.
+    // Scrolling the page must not zoom when the pointer passes over the viewer.
     if (document.activeElement !== stage && !e.ctrlKey) return;
     e.preventDefault();
     zoom(Math.exp(-0.0015 * e.deltaY));
@@ -166,7 +166,7 @@
     button.addEventListener("pointerleave", () => { state.hovered = null; drawThumb(button); });
   });
   new ResizeObserver(() => { state.dirty = true; thumbs.forEach(drawThumb); }).observe(document.body);
-  // At once: by the next tick the old picture would have been seen stretched.
+  // Redraw at once; otherwise the old picture is shown stretched until the next tick.
   new ResizeObserver(show).observe(stage);
   matchMedia("(prefers-color-scheme: dark)").addEventListener("change", readColors);
 
@@ -190,7 +190,7 @@
     if (state.playing) {
       const r = current();
       state.frame += (passed * Number(speed.value)) / r.dt;
-      // The last picture stays for half a second.
+      // The last frame stays for half a second.
       if (state.frame > r.n - 1 + 0.5 / r.dt) state.frame = 0;
       state.dirty = true;
     }

@@ -1,4 +1,4 @@
-"""The report of a test as one HTML file that opens offline: numbers, charts, replays, and the data to save."""
+"""The report of a test as one HTML file that works offline: numbers, charts, replays, and downloads of the data."""
 
 from __future__ import annotations
 
@@ -19,22 +19,22 @@ from dgrasp.view.meshes import DisplayMeshes
 
 _ASSETS = Path(__file__).parent
 _POLICY = "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data:"
-"""The page may load nothing: a browser enforces what "self-contained" says."""
+"""Content security policy: the browser enforces that the page loads nothing, so it stays self-contained."""
 
 _METHODS = {"gt_pd": "PD control holds the pose of each label.", "policy": "A trained policy grasps from each label.",
-            "gt_ik": "PD control holds the pose of each label, drawn to the object's surface."}
+            "gt_ik": "PD control holds the pose of each label after its contacts were moved to the object's surface."}
 
 
 def write_report(
     path: Path, result: Result, records: Sequence[EpisodeRecord], meshes: Mapping[str, DisplayMeshes],
     extra: Mapping[str, Any] | None = None,
 ) -> None:
-    """Write `html_text` in one step."""
+    """Write `html_text` atomically."""
     write_atomic(path, html_text(result, records, meshes, extra))
 
 
 def shown_episodes(result: Result, records: Sequence[EpisodeRecord]) -> list[tuple[str, EpisodeRecord, dict[str, Any]]]:
-    """(group, record, row) of the replays: the worst, worst first, then the best, best first."""
+    """(group, record, row) of the replays: the worst episodes, worst first, then the best, best first."""
     places = [i for i, record in enumerate(records) if len(record.gc)]
     worst, best = replay.chosen([result.per_label[i] for i in places])
     groups = [("worst", i) for i in worst] + [("best", i) for i in best]
@@ -45,10 +45,10 @@ def html_text(
     result: Result, records: Sequence[EpisodeRecord], meshes: Mapping[str, DisplayMeshes],
     extra: Mapping[str, Any] | None = None,
 ) -> str:
-    """The page.
+    """The HTML of the page.
 
-    records: of the result's rows, in their order. meshes: by object, at least of those in `shown_episodes`. extra: what
-    the JSON has besides the result.
+    records: the records of the result's rows, in their order. meshes: by object, at least for the objects of
+    `shown_episodes`. extra: further entries of the JSON.
     """
     dt = records[0].dt
     shown = shown_episodes(result, records)
@@ -68,10 +68,10 @@ def html_text(
 
 
 def document(title: str, sections: Sequence[str], data: Mapping[str, Any] | None) -> str:
-    """A page of these sections. data: what `replay.pack` made, where one of them is `replays_section`."""
+    """The HTML of a page with these sections. data: from `replay.pack` if the page has `replays_section`, else None."""
     scripts = "".join(f"<script>{(_ASSETS / name).read_text(encoding='utf-8')}</script>\n"
                       for name in ("viewer.js", "page.js")) if data else ""
-    # "<" could end the script element; JSON allows its number instead.
+    # "<" could end the script element, so it is written as a JSON escape.
     packed = json.dumps(data, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
     return (
         '<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
@@ -86,12 +86,12 @@ def document(title: str, sections: Sequence[str], data: Mapping[str, Any] | None
 
 
 def _window(result: Result, dt: float) -> str:
-    """When and how grasps were lost."""
+    """The sections that show when and how grasps were lost."""
     times, shares = failures.held_over_time(result.per_label, result.window_s, dt)
     paper = (result.paper or {}).get("success", {}).get("average")
     found = failures.report(result.per_label, result.window_s, dt)["failures"]
-    about = ('<p class="lead">Share of grasps that are not lost yet: a thin line for each object, the thick one is '
-             "their mean.</p>")
+    about = ('<p class="lead">Share of grasps not yet lost: a thin line for each object, a thick line for their '
+             "mean.</p>")
     over_time = _section("over-time", "Success over time", about + charts.held(times, shares, paper))
     kinds = _section("failures", "Where grasps fail", _kinds(found["all"]))
     return (f'<div class="two"><div>{over_time}{kinds}</div>'
@@ -125,7 +125,7 @@ def _head(result: Result) -> str:
 
 
 def _figures(result: Result) -> str:
-    """The main numbers, large."""
+    """Tiles with the main numbers in large type."""
     tiles = []
     for metric in charts.shown_metrics(result):
         heading, unit, form = charts.PANELS[metric]
@@ -150,9 +150,9 @@ def _key(result: Result) -> str:
 
 
 def _kinds(found: Mapping[str, int]) -> str:
-    """The table of outcomes with counts and what they mean; it is the chart's key too."""
+    """The table of outcomes with counts and meanings, which is also the key of the chart."""
     total = sum(found.values())
-    meanings = {"held": "in the hand to the window's end", **failures.MEANINGS}
+    meanings = {"held": "in the hand until the end of the window", **failures.MEANINGS}
     rows = "".join(
         f'<tr><th scope="row"><i class="k-{kind}"></i>{kind}</th><td>{found[kind]}</td>'
         f"<td>{100.0 * found[kind] / total:.0f}%</td><td>{escape(meaning)}</td></tr>"
@@ -163,7 +163,7 @@ def _kinds(found: Mapping[str, int]) -> str:
 
 
 def replays_section(shown: Sequence[tuple[str, EpisodeRecord, dict[str, Any]]]) -> str:
-    """The viewer, and a button for each of the episodes (group, record, row) in the order of `replay.pack`."""
+    """The viewer, and a button for each episode (group, record, row), in the order of `replay.pack`."""
     thumbs: dict[str, list[str]] = {}
     for place, (group, _, row) in enumerate(shown):
         said = replay.told(row)
@@ -184,14 +184,15 @@ def replays_section(shown: Sequence[tuple[str, EpisodeRecord, dict[str, Any]]]) 
         for group, buttons in thumbs.items()
     )
     return _section("replays", "Replays", f"""
-<noscript><p class="notice">The replays need JavaScript, which is part of this file; nothing is loaded.</p></noscript>
-<p class="notice" id="no-webgl" hidden>This browser offers no WebGL 2, so the replays cannot be drawn; all numbers are
-below.</p>
+<noscript><p class="notice">The replays need JavaScript. All scripts are part of this file; it loads nothing else.</p>
+</noscript>
+<p class="notice" id="no-webgl" hidden>This browser does not support WebGL 2, so it cannot show the replays; all numbers
+are below.</p>
 <div id="viewer">
 <div class="caption"><b id="replay-title"></b><span id="replay-facts"></span></div>
 <div class="stage"><canvas id="stage" tabindex="0" role="img"></canvas>
-<div class="corner"><button id="home" title="Turn back to the first view">Reset view</button>
-<button id="full" title="Fill the window (Escape leaves)">Full window</button></div>
+<div class="corner"><button id="home" title="Return to the initial view">Reset view</button>
+<button id="full" title="Fill the window (Escape to leave)">Full window</button></div>
 <p class="legend"><span><i class="gl-hand"></i>hand</span><span><i class="gl-contact"></i>part in contact</span>
 <span><i class="gl-object"></i>object</span></p></div>
 <div class="controls"><button id="play" aria-label="Play"></button>
@@ -201,7 +202,7 @@ below.</p>
 <label>speed <select id="speed"><option value="0.1">0.1\u00d7</option><option value="0.25">0.25\u00d7</option>
 <option value="0.5">0.5\u00d7</option><option value="1" selected>1\u00d7</option>
 <option value="2">2\u00d7</option></select></label></div></div>
-<p class="hint">Drag to turn, pinch or scroll (after a click) to zoom, arrow keys for single steps, space to play.</p>
+<p class="hint">Drag to rotate, pinch or scroll (after a click) to zoom, arrow keys for single steps, space to play.</p>
 {strips}""")
 
 
@@ -224,7 +225,7 @@ def _remarks(result: Result) -> str:
 
 
 def _downloads(result: Result, extra: Mapping[str, Any] | None) -> str:
-    files = [("csv", "text/csv", "CSV, a row per label", output.csv_text(result)),
+    files = [("csv", "text/csv", "CSV (one row per label)", output.csv_text(result)),
              ("json", "application/json", "JSON", output.json_text(result, extra)),
              ("tex", "application/x-tex", "LaTeX table", latex_text(result)),
              ("md", "text/markdown", "Markdown", output.markdown_text(result))]

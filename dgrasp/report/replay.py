@@ -1,9 +1,10 @@
-"""Replays for the page's viewer: meshes and poses as base64 of 16-bit numbers, and which episodes are shown.
+"""Replays for the page's viewer: choose the episodes, and pack meshes and poses as base64 of 16-bit numbers.
 
-A mesh: `lo` (3,) and `step` (m) unpack `v` (V x 3, uint16); `f` are faces (F x 3, uint16). A replay of n frames: `p`
-(n x B x 3, uint16) are positions by its own `lo` and `step`, `q` (n x B x 4, int16) quaternions w, x, y, z times
-32767, `c` (n, uint32) a bit for each part that touches the object. Little endian. The B bodies are those of
-`DisplayMeshes.bodies`, and where the object is moved, one more for its target.
+A mesh: `v` (V x 3, uint16) are vertices, vertex = `lo` (3,) + `step` * v, m; `f` (F x 3, uint16) are faces.
+A replay of n frames: `p` (n x B x 3, uint16) are positions, unpacked with the replay's own `lo` and `step`; `q` (n x B
+x 4, int16) are quaternions w, x, y, z times 32767; `c` (n, uint32) has a bit for each part, set if it touches the
+object. All are little endian. The B bodies are those of `DisplayMeshes.bodies`, plus the object's target if the object
+is moved.
 """
 
 from __future__ import annotations
@@ -21,18 +22,18 @@ from dgrasp.view.camera import viewpoint
 from dgrasp.view.meshes import DisplayMeshes, Mesh, blendable, body_poses
 
 SHOWN = 10
-"""Replays at either end of the ranking."""
+"""Number of replays at each end of the ranking."""
 MAX_FRAMES = 320
-"""A longer episode is shown with every second step, or every third, ..."""
+"""Most frames of a replay; a longer episode is shown with every second step, every third step, and so on."""
 REACH = 2.0
-"""m from the wrist's first place: farther bodies are drawn at its edge."""
+"""m. Positions are clipped, per axis, to this distance from the wrist's first position."""
 
 
 def ranking(rows: Sequence[Row]) -> list[int]:
-    """Places of the rows from the best grasp to the worst.
+    """Indices of the rows from the best grasp to the worst.
 
-    Held ones come first, the stillest (SimDist) before the others, or where objects are moved those that end closest to
-    their targets (MPE); then those that were held longer.
+    Held grasps come before lost ones; of the lost grasps, those that were held longer come first. Ties are ordered by
+    SimDist, or, if objects are moved, by the distance to the target (MPE), smallest first.
     """
     def key(i: int) -> tuple[float, float, int]:
         row = rows[i]
@@ -44,14 +45,14 @@ def ranking(rows: Sequence[Row]) -> list[int]:
 
 
 def told(row: Row) -> str:
-    """How an episode ended, in a word or two."""
+    """The outcome of an episode in one to three words."""
     if "carried" in row:
         return "carried" if row["carried"] else "lost on the way"
     return str(row.get("failure", "held"))
 
 
 def chosen(rows: Sequence[Row]) -> tuple[list[int], list[int]]:
-    """The `SHOWN` worst, worst first, and the `SHOWN` best, best first; none is in both."""
+    """Indices of the `SHOWN` worst rows, worst first, and of the `SHOWN` best, best first; no row is in both."""
     order = ranking(rows)
     best = order[: min(SHOWN, (len(order) + 1) // 2)]
     worst = order[len(best) :][-SHOWN:]
@@ -61,7 +62,7 @@ def chosen(rows: Sequence[Row]) -> tuple[list[int], list[int]]:
 def pack(
     shown: Sequence[tuple[str, EpisodeRecord, Row]], meshes: Mapping[str, DisplayMeshes]
 ) -> dict[str, Any]:
-    """What the page carries for episodes (group, record, row), with the meshes of their objects; plain JSON values."""
+    """The page's data for episodes (group, record, row), with the meshes of their objects; plain JSON values."""
     first = next(iter(meshes.values()))
     return {
         "hand": [_mesh(part) for part in first.hand],
@@ -102,7 +103,7 @@ def _mesh(mesh: Mesh) -> dict[str, Any]:
 
 
 def _quantised(points: Array) -> tuple[list[float], float, Array]:
-    """Lowest corner (3,) m, step in m, and points (..., 3) as whole numbers of steps from it, up to 65535."""
+    """Lowest corner (3,) m, step in m, and points (..., 3) in whole steps from that corner, 0 to 65535."""
     flat = points.reshape(-1, 3)
     if not len(flat):
         return [0.0, 0.0, 0.0], 1.0, points

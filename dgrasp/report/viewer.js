@@ -1,13 +1,13 @@
 "use strict";
-// The replay viewer of the report: one WebGL2 context draws every picture, which is then copied to its place in the page.
-// The address's hash sets the view, such as #replay=2&t=0.5&yaw=30&pitch=20&zoom=1.5&full=1 (t: share of the timeline).
+// The replay viewer of the report. One WebGL 2 context draws every picture, which is then copied to its canvas.
+// The URL's hash sets the view, such as #replay=2&t=0.5&yaw=30&pitch=20&zoom=1.5&full=1 (t: fraction of the timeline).
 
 const Replays = (() => {
   // ---- data ------------------------------------------------------------------------------------------------------
   const bytes = (text) => Uint8Array.from(atob(text), (c) => c.charCodeAt(0));
   const CREASE = Math.cos((38 * Math.PI) / 180);
 
-  // Triangles with a normal at each corner: smooth over edges that are nearly flat, sharp over others.
+  // Triangles with a normal at each corner; shading is smooth across nearly flat edges and sharp across others.
   function geometry(mesh) {
     const v = new Uint16Array(bytes(mesh.v).buffer), faces = new Uint16Array(bytes(mesh.f).buffer);
     const at = (i, k) => mesh.lo[k] + mesh.step * v[3 * i + k];
@@ -52,7 +52,7 @@ const Replays = (() => {
     return { hand: data.hand.map(geometry), objects, replays, table: data.table };
   }
 
-  // The pose of a body at a frame, between two recorded ones too: a 4 x 4 matrix by columns.
+  // The pose of a body at a frame, interpolated between recorded frames: a 4 x 4 matrix in column-major order.
   function pose(r, body, frame) {
     const i = Math.max(0, Math.min(r.n - 1, Math.floor(frame))), j = Math.min(r.n - 1, i + 1);
     const w = Math.max(0, Math.min(1, frame - i)), a = i * r.bodies + body, b = j * r.bodies + body;
@@ -68,11 +68,11 @@ const Replays = (() => {
     ]);
   }
 
-  // Seconds since the grasp, when the table goes or the motion begins; negative before.
+  // Seconds since the end of the grasp, when the table is removed or the motion begins; negative before that.
   const seconds = (r, frame) => (frame - r.start) * r.dt;
   const lossFrame = (r) => (r.lost_s === null ? null : r.start + r.lost_s / r.dt);
 
-  // ---- matrices by columns ---------------------------------------------------------------------------------------
+  // ---- column-major matrices -------------------------------------------------------------------------------------
   function times(a, b) {
     const out = new Float32Array(16);
     for (let c = 0; c < 4; c++)
@@ -94,7 +94,7 @@ const Replays = (() => {
     const dot = (a) => -(a[0] * eye[0] + a[1] * eye[1] + a[2] * eye[2]);
     const look = new Float32Array([right[0], up[0], back[0], 0, right[1], up[1], back[1], 0, right[2], up[2], back[2],
       0, dot(right), dot(up), dot(back), 1]);
-    // Narrow pictures see as much to the sides as square ones.
+    // A narrow picture has the same horizontal field of view as a square one.
     const f = Math.min(1, aspect) / Math.tan((40 * Math.PI) / 360), near = 0.02, far = 12;
     const lens = new Float32Array([f / aspect, 0, 0, 0, 0, f, 0, 0, 0, 0, (far + near) / (near - far), -1, 0, 0,
       (2 * far * near) / (near - far), 0]);
@@ -103,7 +103,7 @@ const Replays = (() => {
 
   const LIGHT = [0.28, -0.22, 1];
 
-  // Throws every point along the light onto the plane z = height.
+  // Projects every point along the light onto the plane z = height.
   function shadow(height) {
     const x = LIGHT[0] / LIGHT[2], y = LIGHT[1] / LIGHT[2];
     return new Float32Array([1, 0, 0, 0, 0, 1, 0, 0, -x, -y, 0, 0, x * height, y * height, height, 1]);
@@ -185,7 +185,7 @@ const Replays = (() => {
       gl.drawArrays(gl.TRIANGLES, 0, g.count);
     }
 
-    // Draws a replay's frame into a 2D canvas of the page, at the canvas's own size.
+    // Draws a frame of a replay into a 2D canvas of the page, at the canvas's size.
     return function draw(onto, scene, r, frame, view, colors) {
       const width = onto.width, height = onto.height;
       if (canvas.width < width || canvas.height < height) {

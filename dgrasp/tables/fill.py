@@ -1,4 +1,4 @@
-"""Fill a table: evaluate what is trained, keep what was evaluated."""
+"""Fill a table: evaluate the trained policies and keep the results."""
 
 from __future__ import annotations
 
@@ -29,17 +29,22 @@ from dgrasp.tables.trainings import Say, Trainings
 
 _OF_TEST = ("labels.", "physics.", "eval.window_s", "env.grasp_steps")
 _NOT_OF_TEST = ("labels.per_epoch", "labels.doubles_every", "motion.policy", "motion.targets")
-"""Keys that say what an evaluation is of; those that the training or the table chooses."""
+"""Prefixes of the keys that define an evaluation, and those among them that the training or the table chooses."""
 
 
 @dataclass
 class Cells:
-    """A filled row. values: metric -> mean over objects; intervals: metric -> [low, high]; n: labels (or motions).
+    """A filled row.
 
-    missing: why there are no values. notes: what a reader must know of them. comparable: hand, labels, targets and what
-    the command says of the evaluation are the paper's. evaluated: on what, engine, window and commit. commands: what
-    evaluates it by hand. seeds: with several, seed -> its own values; then `values` are means over all seeds, of each
-    label first.
+    values: metric -> mean over objects. With several seeds, each label is averaged over the seeds first.
+    intervals: metric -> [low, high].
+    n: number of labels (or motions).
+    comparable: whether hand, labels, targets and the keys of the evaluation are the paper's.
+    evaluated: engine, window and commit of the evaluations.
+    missing: why values are missing.
+    notes: remarks on the values.
+    commands: the command lines of the evaluations.
+    seeds: seed -> its own values; empty with a single seed.
     """
 
     line: Line
@@ -56,10 +61,11 @@ class Cells:
 
 @dataclass
 class Found:
-    """What one seed has of a row: its labels' rows, the evaluations that they are from, and as in `Cells`.
+    """One seed's part of a table row.
 
-    changed: keys by which the evaluations are others than the row's. places: of each label's row, which evaluation of
-    the table's row it is from.
+    rows: the labels' rows. results: their evaluations. missing, notes, commands: as in `Cells`.
+    changed: keys, with their values, in which the evaluations differ from those that the table row asks for.
+    places: for each of `rows`, the index of its evaluation in the table row.
     """
 
     seed: int
@@ -73,16 +79,15 @@ class Found:
 
     @property
     def tagged(self) -> list[tuple[int, Row]]:
-        """The rows, each with the place in the row of the evaluation that it is from."""
+        """The labels' rows, each with the index of its evaluation in the table row."""
         return list(zip(self.places, self.rows, strict=True))
 
 
 class Tables:
-    """Trainings and results of one recipe, engine and seed below `root`.
+    """Training runs and results of one recipe, engine and seed below `root`.
 
-    cfg: the recipe that policies are trained with. overrides: keys for trainings and evaluations alike, such as data,
-    engine and seed. policy: a checkpoint that stands in for the policy of all objects, such as one that the authors
-    published.
+    cfg: the recipe that policies are trained with. overrides: keys for training and evaluation, such as data, engine
+    and seed. policy: a checkpoint that replaces the policy of all objects, such as one that the authors published.
     """
 
     def __init__(
@@ -97,7 +102,7 @@ class Tables:
         self.trainings = Trainings(folder, self.cfg, self.overrides, policy, say)
 
     def find(self, line: Line, motion: bool) -> Found:
-        """The evaluations of a row, as far as its policies are trained."""
+        """The evaluations of a row whose policies are trained, and the reasons why others are missing."""
         found = Found(self.seed)
         for place, trial in enumerate(line.trials):
             try:
@@ -117,10 +122,10 @@ class Tables:
             if trial.run is not None:
                 found.notes += self.trainings.about(trial.run)
         if found.results and len(found.results) < len(line.trials):
-            found.notes.append(f"{line.group}, {line.name}: {len(found.results)} of {len(line.trials)} evaluations are "
-                               "there")
+            found.notes.append(f"{line.group}, {line.name}: only {len(found.results)} of {len(line.trials)} "
+                               "evaluations are available")
         if found.changed:
-            found.notes.append(f"evaluated with {', '.join(found.changed)}, which no row of this table asks for")
+            found.notes.append(f"evaluated with {', '.join(found.changed)}, which differs from this table's rows")
         return found
 
     def _evaluate(self, trial: Trial, motion: bool) -> tuple[Any, str, list[str]]:
@@ -132,7 +137,7 @@ class Tables:
             try:
                 return json.loads(file.read_text(encoding="utf-8")), command, changed
             except ValueError:
-                self.say(f"{file} is damaged and is made again")
+                self.say(f"{file} is damaged; evaluating again")
         self.say(f"evaluating: {command}")
         evaluation = evaluate.evaluate_motion if motion else evaluate.evaluate_choice
         result, _, _ = evaluation(request.method, config, choice)
@@ -140,12 +145,12 @@ class Tables:
             self.results.mkdir(parents=True, exist_ok=True)
             write_atomic(file, json.dumps(result.as_dict(), allow_nan=False))
         except OSError as error:
-            raise DataError(f"{file}: cannot be written ({error.strerror or error}); choose another folder with "
+            raise DataError(f"{file}: cannot write the result ({error.strerror or error}); choose another folder with "
                             "--runs") from None
         return result.as_dict(), command, changed
 
     def _request(self, trial: Trial, motion: bool) -> tuple[Request, str]:
-        """A trial's evaluation, and the command that makes the same one by hand."""
+        """A trial's evaluation, and the command line that runs the same evaluation."""
         run, overrides = trial.run, [*self.overrides, *trial.overrides]
         asked = Asked(cfg=self.cfg) if run is None else self.trainings.asked(run)
         if run is not None:
@@ -159,7 +164,7 @@ class Tables:
         return request, _command(asked)
 
     def _key(self, trial: Trial, config: Config, choice: DataChoice) -> str:
-        """Names an evaluation by all that its figures depend on."""
+        """File name of an evaluation: a hash of everything that its numbers depend on."""
         weights = "" if trial.run is None else sha256_of(self.trainings.policy_of(trial.run))
         used = config.model_dump(mode="json", exclude={"pool", "ppo", "checkpoint", "device", "name"})
         text = json.dumps([trial.method, weights, used, choice.stamp()], sort_keys=True)
@@ -167,7 +172,7 @@ class Tables:
 
 
 def _command(asked: Asked) -> str:
-    """The command line that asks for the same."""
+    """The command line for what is asked."""
     paths = {"--cfg": asked.cfg, "--policy": asked.policy, "--run": asked.run, "--baseline": asked.baseline}
     words = [word for name, value in paths.items() if value is not None for word in (name, str(value))]
     words += asked.overrides
@@ -177,7 +182,7 @@ def _command(asked: Asked) -> str:
 
 
 def fill(plan: Plan, seeds: Sequence[Tables]) -> list[Cells]:
-    """The rows of a table, over the seeds; what needs no training is the same for all and taken from the first."""
+    """The rows of a table over all seeds. Rows without training are evaluated with the first seed only."""
     rows = []
     for line in plan.lines:
         learned = any(trial.run is not None for trial in line.trials)
@@ -208,9 +213,10 @@ def _row(line: Line, seeds: Sequence[Found]) -> Cells:
 
 
 def _over_seeds(seeds: Sequence[Sequence[tuple[int, Row]]]) -> list[Row]:
-    """One row for each label, or motion, with the means over the seeds that have it. Rows come with their evaluation.
+    """One row for each label (or motion) with its means over the seeds that have it.
 
-    Several seeds tell no more of other labels than one does: an interval over labels must count each once.
+    seeds: per seed, (index of the evaluation, row). An interval over labels must count each label once, because further
+    seeds add no further labels.
     """
     if len(seeds) == 1:
         return [row for _, row in seeds[0]]
@@ -230,7 +236,7 @@ def _mean(rows: Sequence[Row]) -> Row:
 
 
 def _changed(trial: Trial, config: Config, motion: bool) -> list[str]:
-    """The keys that make an evaluation another one than its row asks for, with their values."""
+    """The keys, with their values, in which an evaluation differs from the one that its row asks for."""
     file = None if trial.run is None or trial.run.cfg is None else Path(trial.run.cfg)
     words = ["physics.preset=faithful", *trial.overrides]
     asked = load_config(cfg_root() / (file or Path("dexycb.yaml")).name, words)
@@ -241,13 +247,13 @@ def _changed(trial: Trial, config: Config, motion: bool) -> list[str]:
 
 
 def _comparable(result: Mapping[str, Any]) -> bool:
-    """Whether an evaluation is of the paper's hand and labels and, of motions, to the paper's targets."""
+    """Whether an evaluation uses the paper's hand and labels and, if it moves objects, the paper's targets."""
     motion = result.get("motion")
     return bool(result["data"].get("comparable_with_paper")) and (motion is None or motion["targets"] == "easy")
 
 
 def _summary(rows: list[Row], like: Mapping[str, Any]) -> Result:
-    """The summary of labels' rows that were evaluated like that."""
+    """The summary of labels' rows; method, engine, data and the like are those of the result `like`."""
     return summarise(
         rows, method=like["method"], engine=like["engine"], window_s=like["window_s"], seed=like["seed"],
         data=like["data"], cost=like["cost"], motion=like.get("motion"),

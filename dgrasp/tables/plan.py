@@ -1,4 +1,4 @@
-"""What a table takes: which runs have to be trained, what is evaluated, and the paper's numbers where it has them."""
+"""The tables' definitions: the runs to train, the evaluations, and the paper's numbers if it has any."""
 
 from __future__ import annotations
 
@@ -46,14 +46,15 @@ _INGREDIENTS = {
     "paper_pose": ("the paper's pose weight", FAST, ("env.reward.pose=0.1",)),
     "paper": ("cfg/dexycb.yaml", "cfg/dexycb.yaml", ()),
 }  # fmt: skip
-"""One row each: name, config, and what is taken away from it or added."""
+"""Key -> a row's name, config file, and the overrides that change it."""
 
 
 @dataclass(frozen=True)
 class Trained:
-    """A training run: its folder's name, and what it differs in from the recipe; cfg: another file than the recipe's.
+    """A training run.
 
-    policy: the run whose policy it is built on, given to it as `motion.policy`.
+    key: the name of its folder. overrides: its differences from the recipe. cfg: a config file to use in place of the
+    recipe's. policy: the run whose policy it builds on, passed to it as `motion.policy`.
     """
 
     key: str
@@ -64,8 +65,11 @@ class Trained:
 
 @dataclass(frozen=True)
 class Trial:
-    """One evaluation. method: a name in `dgrasp.methods.METHODS`; run: what it takes its policy from; overrides: which
-    labels and objects."""
+    """One evaluation.
+
+    method: a name in `dgrasp.methods.METHODS`. run: the training run of its policy, if it needs one. overrides: the
+    choice of labels and objects, and keys of the evaluation.
+    """
 
     method: str
     run: Trained | None
@@ -74,7 +78,7 @@ class Trial:
 
 @dataclass(frozen=True)
 class Line:
-    """A row of a table: the labels of all its trials together, beside the paper's numbers (metric -> value)."""
+    """A row of a table: the labels of all its trials together. paper: the paper's numbers, metric -> value."""
 
     group: str
     name: str
@@ -101,7 +105,7 @@ ALL_OBJECTS = Trained("all_objects")
 
 
 def per_object(name: str) -> Trained:
-    """The policy of one object alone."""
+    """The training run of a policy for one object."""
     return Trained(f"object_{name}", (f"labels.objects=[{name}]",))
 
 
@@ -158,11 +162,11 @@ def _unseen() -> Plan:
         run = Trained(f"unseen_{k}", (f"labels.objects=[seen_{k}]",))
         paper = paper_tables()["unseen_objects"][f"test_set_{k}"]["average"]
         for key, name, method in (("pd", "GT+PD", "gt_pd"), ("ik", "GT+IK", "gt_ik"), ("ours", "Ours", "policy")):
-            # The paper counts all labels of the objects that were left out, of both splits.
+            # The paper counts all labels of the held-out objects, from both splits.
             which = [(f"labels.objects=[unseen_{k}]", f"labels.split={split}") for split in ("train", "test")]
             trials = tuple(Trial(method, run if method == "policy" else None, labels) for labels in which)
             lines.append(Line(f"test set {k}", name, trials, _numbers(paper[key])))
-    return Plan("unseen", "Unseen objects: six sets of three, left out in training", GRASP_METRICS, tuple(lines))
+    return Plan("unseen", "Unseen objects: six sets of three, held out in training", GRASP_METRICS, tuple(lines))
 
 
 def _scope() -> Plan:
@@ -177,17 +181,17 @@ def _scope() -> Plan:
         lines.append(Line(f"dexycb {split}", "Ours, a policy per object", alone, _numbers(paper["per_object"])))
         together = (Trial("policy", ALL_OBJECTS, (f"labels.split={split}",)),)
         lines.append(Line(f"dexycb {split}", "Ours, one for all objects", together, _numbers(paper["all_objects"])))
-    return Plan("scope", "One policy for all objects, or one each", GRASP_METRICS, tuple(lines))
+    return Plan("scope", "One policy for all objects, or one per object", GRASP_METRICS, tuple(lines))
 
 
 def _recipe() -> Plan:
     objects = f"labels.objects=[{', '.join(RECIPE_OBJECTS)}]"
     lines = []
     for key, (name, cfg, overrides) in _INGREDIENTS.items():
-        # Every change of features comes to a test with the policy.
+        # The checkpoint carries changed features to the test, so the trial needs no overrides for them.
         trial = Trial("policy", Trained(f"recipe_{key}", (objects, *overrides), cfg), (objects,))
         lines.append(Line(f"{len(RECIPE_OBJECTS)} objects, train", name, (trial,), {}))
-    return Plan("recipe", "What the ingredients of cfg/fast.yaml are worth", RECIPE_METRICS, tuple(lines))
+    return Plan("recipe", "Contribution of each ingredient of cfg/fast.yaml", RECIPE_METRICS, tuple(lines))
 
 
 _PLANS = {"grasp": _grasp, "motion": _motion, "ablation": _ablation, "unseen": _unseen, "scope": _scope,
@@ -196,5 +200,5 @@ NAMES = tuple(_PLANS)
 
 
 def plans(name: str) -> list[Plan]:
-    """The tables that a name of `NAMES`, or "all" (those of the paper), means."""
+    """The table called `name` (one of `NAMES`), or for "all" the tables of the paper."""
     return [make() for key, make in _PLANS.items() if name == key or (name == "all" and key != "recipe")]

@@ -1,4 +1,4 @@
-"""A filled table on the terminal and in files: ours, paper, difference, interval, number of labels."""
+"""Print and write a filled table: ours, paper, difference, interval, number of labels."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ _TITLES = {"success": ("success", "{:.2f}"), "sim_dist_mm_per_step": ("SimDist m
            "interpenetration_shell_cm3": ("interpen. cm3", "{:.2f}"), "contact_ratio": ("contact ratio", "{:.2f}"),
            "label_distance_mm": ("to label mm", "{:.1f}"), "label_angles_deg": ("to label deg", "{:.1f}"),
            "mpe_m": ("MPE m", "{:.3f}"), "geodesic_rad": ("geodesic rad", "{:.2f}")}  # fmt: skip
-NOT_THE_PAPERS = ("* hand, labels, targets or evaluation are not the paper's: not comparable, and its numbers are left "
-                  "away")
+NOT_THE_PAPERS = ("* hand, labels, targets or evaluation are not the paper's: not comparable, so the paper's numbers "
+                  "are left out")
 
 
 def cells_of(plan: Plan, cells: Cells) -> list[str]:
-    """A row as text: labels or targets, and per metric ours with its interval, the paper's and the difference."""
+    """A row as text: labels, method, n, and per metric our mean with its interval, the paper's, and the difference."""
     apart = bool(cells.values) and not cells.comparable
     mark = " *" if apart else ""
     row = [cells.line.group, cells.line.name + mark, str(cells.n) if cells.values else "-"]
@@ -46,7 +46,7 @@ def cells_of(plan: Plan, cells: Cells) -> list[str]:
 
 
 def header_of(plan: Plan) -> list[str]:
-    """The titles of `cells_of`."""
+    """The column titles of `cells_of`."""
     header = ["labels", "method", "n"]
     for metric in plan.metrics:
         header += [_TITLES[metric][0], *(["paper", "diff."] if plan.of_paper else [])]
@@ -54,7 +54,7 @@ def header_of(plan: Plan) -> list[str]:
 
 
 def remarks(plan: Plan, rows: Sequence[Cells]) -> list[str]:
-    """What stands under a table: marks, trainings, and how to make what is missing."""
+    """Lines under a table: the meaning of *, values by seed, training runs, and how to train what is missing."""
     apart = any(cells.values and not cells.comparable for cells in rows)
     lines = [NOT_THE_PAPERS if plan.of_paper else NOT_THE_PAPERS.rsplit(",", 1)[0]] if apart else []
     for cells in rows:
@@ -70,7 +70,7 @@ def remarks(plan: Plan, rows: Sequence[Cells]) -> list[str]:
     lines += dict.fromkeys(note for cells in rows for note in cells.notes)
     missing = dict.fromkeys(reason for cells in rows for reason in cells.missing)
     if missing:
-        lines.append(f"missing, {len(missing)}:")
+        lines.append(f"missing ({len(missing)}):")
         lines += [f"  {reason}" for reason in missing]
     return lines
 

@@ -1,4 +1,4 @@
-"""The trainings that tables take: where they are, whether they are of the tables' data, and made within a budget."""
+"""The training runs that tables need: find them, check their data and settings, and train missing ones in a budget."""
 
 from __future__ import annotations
 
@@ -25,20 +25,20 @@ from dgrasp.tables.plan import ALL_OBJECTS, FAST, Plan, Trained, plans
 
 Say = Callable[[str], None]
 _OF_TRAINING = ("env.", "ppo.", "labels.", "physics.", "motion.sigma_")
-"""Keys that make a training another than its row's."""
+"""Prefixes of the keys in which a training run must agree with its row."""
 _LENGTH = ("epochs", "max_steps")
-"""Keys of `ppo` that say how long a training is; the command counts, not what a run was begun with."""
+"""Keys of `ppo` that set the length of a training. The command's values apply, not those that the run began with."""
 _OF_DATA = ("kind", "hand_sha256", "labels_sha256")
-"""Of a data stamp, what makes it other data: a split, other objects of it or its licence's text do not."""
+"""Entries of a data stamp that identify the data. Another split, choice of objects or licence text does not matter."""
 _GRASP = "grasp"
-"""The name of a run's own copy of the policy that it is built on; its suffix is that policy's."""
+"""File name, without suffix, of a run's own copy of the policy that it builds on; the suffix is that policy's."""
 
 
 class Trainings:
-    """The trainings of one recipe, engine and seed in the folder `root`.
+    """The training runs of one recipe, engine and seed in the folder `root`.
 
-    cfg: the recipe of those that name none of their own. overrides: keys for all of them. policy: a file that stands
-    in for the policy of all objects.
+    cfg: the recipe of runs that name no config file. overrides: keys for all runs. policy: a file that replaces the
+    policy of all objects. say: called with each line of output.
     """
 
     def __init__(self, root: Path, cfg: Path, overrides: Sequence[str], policy: Path | None, say: Say) -> None:
@@ -47,32 +47,32 @@ class Trainings:
         self._stamps: dict[Trained, dict[str, Any]] = {}
 
     def run_dir(self, run: Trained) -> Path:
-        """Where a training is, or will be."""
+        """The folder of a run, which need not exist yet."""
         return self.root / run.key
 
     def command(self, run: Trained) -> str:
-        """The command line that makes a training."""
+        """The command line that trains a run."""
         words = ["--cfg", str(run.cfg or self.cfg), "--run", str(self.run_dir(run)), *self.overrides, *run.overrides]
         if run.policy is not None:
             words.append(_motion_policy(self.policy_of(run.policy)))
         return shlex.join(["python", "train.py", *words])
 
     def asked(self, run: Trained) -> Asked:
-        """What names a run's policy to an evaluation."""
+        """The part of an evaluation's request that names the run's policy."""
         return Asked(policy=self.policy) if self.stands_in(run) else Asked(run=self.run_dir(run))
 
     def policy_of(self, run: Trained) -> Path:
-        """The file of a run's policy as it is now; `DataError` where there is none."""
+        """The current file of a run's policy; raises `DataError` if there is none."""
         if self.stands_in(run) and self.policy is not None:
             return self.policy
         return checkpoint.latest(self.run_dir(run))
 
     def stands_in(self, run: Trained) -> bool:
-        """Whether the file `policy` is taken for a run."""
+        """Whether the file `policy` replaces a run."""
         return run == ALL_OBJECTS and self.policy is not None
 
     def missing(self, run: Trained) -> str | None:
-        """Why a run's policy cannot be evaluated, and what to do; None where it can."""
+        """Why a run's policy cannot be evaluated, or the command that trains it; None if it can be evaluated."""
         if self.stands_in(run):
             return None
         other = self._other_data(run)
@@ -90,14 +90,14 @@ class Trainings:
         return self.command(run)
 
     def about(self, run: Trained) -> list[str]:
-        """How far a training came, and what differs from the one that its row asks for."""
+        """One line: the progress of a run, and its differences from the training that its row asks for."""
         if self.policy is not None and self.stands_in(run):
             return [f"the policy of all objects is {self.policy.name}"]
-        # What is evaluated is the last checkpoint; the log may be ahead of it.
+        # The evaluation uses the last checkpoint; the log may be ahead of it.
         made = self._as_long(run, read_run(self.run_dir(run)))
         if there_are := checkpoint.saved(self.run_dir(run)):
             made = made.until(int(there_are[-1].stem))
-        # What the paper trained with is the default of every key, but for the baselines, which have files of their own.
+        # The paper's training is the default of every key, except for baselines, which have their own config files.
         asked = load_config(None if run.cfg is None else cfg_root() / Path(run.cfg).name, list(run.overrides))
         told = load_config(find_config(Path(run.cfg or self.cfg)), [*self.overrides, *run.overrides])
         there, here, now = (flat_keys(config.model_dump(mode="json")) for config in (asked, made.config, told))
@@ -110,12 +110,12 @@ class Trainings:
         whose = FAST if run.cfg == FAST else "the paper's training"
         return [f"{run.key}: {made.number('epoch'):.0f}{end} epochs, {cost}"
                 + (f"; differs from {whose} in {', '.join(changed)}" if changed else "")
-                + (f"; not as this command says: it was trained with {', '.join(stale)}" if stale else "")]
+                + (f"; differs from this command: it was trained with {', '.join(stale)}" if stale else "")]
 
     def own_grasp(self, run: Trained) -> list[str]:
-        """The override that names a run's own copy of the policy that it is built on; none for a run without.
+        """The override that names a run's own copy of the policy that it builds on; [] if it builds on none.
 
-        Where train.py was told another file, the copy is made now: the run that it is from removes old checkpoints.
+        If train.py was given another file, the copy is made now, because the run of that file deletes old checkpoints.
         """
         folder = self.run_dir(run)
         if run.policy is None or not checkpoint.saved(folder):
@@ -127,9 +127,12 @@ class Trainings:
         return [_motion_policy(copies[0] if copies else _copy(named, folder))]
 
     def train_missing(self, chosen: Sequence[Plan], budget_min: float) -> None:
-        """Train what the tables lack in so many minutes, each run with an equal share of what is left of them."""
+        """Train the runs that the tables need and lack within `budget_min` minutes.
+
+        Each run gets an equal share of the time that is left.
+        """
         for run in needed(plans("all")):
-            with contextlib.suppress(DGraspError):  # its own row says what is wrong
+            with contextlib.suppress(DGraspError):  # the run's own row reports the error
                 self.own_grasp(run)
         todo = [run for run in needed(chosen) if self._needs(run) is not None]
         end = time.monotonic() + 60.0 * budget_min
@@ -149,25 +152,26 @@ class Trainings:
                     length = [override(f"ppo.{name}", value) for name, value in self._length(run).items()]
                     training.resume(self.run_dir(run), [*self.own_grasp(run), *length, limit])
             except DGraspError as error:
-                # One table's data may lack what another's has, and a baseline refuse another recipe's policy.
+                # One run's error must not stop the others: its data may be missing, or it may refuse another recipe's
+                # policy.
                 self.say(f"{run.key}: {error}")
 
     def _needs(self, run: Trained) -> str | None:
-        """What is left to do for a run: "train", "resume", or nothing."""
+        """What is left to do for a run: "train", "resume" or None."""
         if self.stands_in(run):
             return None
         folder = self.run_dir(run)
         if not (folder / "config.yaml").is_file():
             return "train"
         made = self._as_long(run, read_run(folder))
-        # One that ended with its share of an earlier budget goes on.
+        # A run that used up its share of an earlier budget is resumed.
         if made.state == "running" or made.complete or self._other_data(run) is not None:
             return None
-        # What has no checkpoint begins anew, and then with the policy that there is now.
+        # A run on another run's policy that has no checkpoint yet starts again, with the current policy.
         return "train" if run.policy is not None and not checkpoint.saved(folder) else "resume"
 
     def _train_with_own_grasp(self, run: Trained, policy: Path, limit: str) -> None:
-        """Begin a training with a copy, in its folder, of the policy that it is built on."""
+        """Train a run with a copy, in its folder, of the policy that it builds on."""
         folder = self.run_dir(run)
         frozen_policy(self._config(run, _motion_policy(policy)))
         choice = resolve(self._config(run))
@@ -177,21 +181,21 @@ class Trainings:
         training.train(folder, config, choice)
 
     def _config(self, run: Trained, *more: str) -> Config:
-        """What a run is, or would be, trained with here."""
+        """The config that this command trains a run with."""
         return load_config(find_config(Path(run.cfg or self.cfg)), [*self.overrides, *run.overrides, *more])
 
     def _length(self, run: Trained) -> dict[str, Any]:
-        """How long a training is to be, as this command says."""
+        """The length of a run's training according to this command: key of `ppo` -> value."""
         ppo = self._config(run).ppo
         return {name: getattr(ppo, name) for name in _LENGTH}
 
     def _as_long(self, run: Trained, made: Run) -> Run:
-        """A run, to be as long as this command says."""
+        """The run with the length of training that this command sets."""
         ppo = made.config.ppo.model_copy(update=self._length(run))
         return replace(made, config=made.config.model_copy(update={"ppo": ppo}))
 
     def _other_data(self, run: Trained) -> str | None:
-        """Why a run is not of the tables' data; None where it is, or is not there."""
+        """Why a run was not trained on the tables' data; None if it was, or if the run does not exist."""
         folder = self.run_dir(run)
         if not (folder / "config.yaml").is_file():
             return None
@@ -200,18 +204,18 @@ class Trainings:
             if run not in self._stamps:
                 self._stamps[run] = resolve(self._config(run)).stamp()
         except DataError as error:
-            return f"{folder}: whether it was trained on this data cannot be told ({error})"
+            return f"{folder}: cannot tell whether it was trained on this data ({error})"
         here = self._stamps[run]
         differs = [key for key in _OF_DATA if there.get(key) != here[key]]
         if not differs:
             return None
         return (f"{folder} was trained on other data ({there.get('kind', 'unknown')}, here {here['kind']}; data.json "
-                f"differs in {', '.join(differs)}), so it is neither evaluated nor trained on; give that data with "
-                "--data, or another folder for runs on this one with --runs")
+                f"differs in {', '.join(differs)}), so it is neither evaluated nor resumed; give that data with "
+                "--data, or another folder for runs on this data with --runs")
 
 
 def needed(chosen: Sequence[Plan]) -> list[Trained]:
-    """The trainings that tables take, each once, those that others build on first."""
+    """The training runs that tables need, each once; runs that others build on come first."""
     found: dict[Trained, None] = {}
     for plan in chosen:
         for line in plan.lines:

@@ -1,4 +1,4 @@
-"""Where a camera looks at a sequence from, so that hand and object are both seen."""
+"""The camera of a sequence, placed so that it sees both hand and object."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ from dgrasp.types import Array, EpisodeRecord
 PITCH = 0.35
 """rad above the horizontal."""
 DISTANCE = 0.7
-"""m from what the camera turns about."""
+"""m from the point that the camera turns about."""
 
 
 def viewpoint(record: EpisodeRecord) -> tuple[Array, float]:
-    """What the camera turns about, (3,) m, and its direction from there, rad about z.
+    """The point that the camera turns about, (3,) m, and the camera's direction from there, rad about z; world frame.
 
-    The point lies between wrist and object when the table goes, and a little below. The direction is from the side of
-    the grasp, rather that of the palm.
+    The point lies slightly below the line between wrist and object at the time when the table is removed. The camera
+    looks from the side of the grasp, preferring the palm's side.
     """
     step = min(max(record.window_start - 1, 0), len(record.gc) - 1)
     T_WH, place = np.nan_to_num(record.T_WH[step]), np.nan_to_num(record.T_WO[step, :3, 3])
@@ -30,6 +30,6 @@ def viewpoint(record: EpisodeRecord) -> tuple[Array, float]:
 
 
 def eye(target: Array, yaw: float) -> Array:
-    """(3,) m: the camera's place for a `viewpoint`."""
+    """(3,) m: the camera's position for a `viewpoint`."""
     direction = np.array([np.cos(PITCH) * np.cos(yaw), np.cos(PITCH) * np.sin(yaw), np.sin(PITCH)])
     return np.asarray(target + DISTANCE * direction)

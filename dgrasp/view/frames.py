@@ -1,4 +1,4 @@
-"""Pictures of recorded episodes, without a display."""
+"""Pictures of recorded episodes, rendered without a display."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from dgrasp.view.meshes import DisplayMeshes, body_poses, table_tops
 from raisim_like.rotations import matrix_from_quaternion, transform
 
 SIZE = (640, 480)
-"""Pixels; even numbers, as mp4 wants them."""
+"""Width and height in pixels; mp4 needs even numbers."""
 HAND_COLOR = (0.92, 0.76, 0.62)
 OBJECT_COLOR = (0.25, 0.47, 0.75)
 TABLE_COLOR = np.array([0.87, 0.855, 0.83])
@@ -45,7 +45,7 @@ def record_pictures(
     record: EpisodeRecord, meshes: DisplayMeshes, table_m: tuple[float, float] = (TABLE_TOP, LOWERED_TOP),
     every: int = 1, size: tuple[int, int] = SIZE,
 ) -> Iterator[Array]:  # fmt: skip
-    """Frames (height, width, 3) uint8 of an episode, one for every `every` control steps.
+    """Frames (height, width, 3) uint8 of an episode, one every `every` control steps.
 
     table_m: heights of the table's top, and of it once it is taken away.
     """
@@ -79,9 +79,10 @@ def state_picture(
 
 
 def gif_bytes(frames: Sequence[Array], frame_s: float) -> bytes:
-    """An endless GIF of frames (height, width, 3) uint8, shown for `frame_s` seconds each on average.
+    """An endless GIF of frames (height, width, 3) uint8, each shown for `frame_s` seconds on average.
 
-    GIF counts whole hundredths of a second, and few viewers show a frame for less than two.
+    `frame_s` is raised to 0.02 s, because few viewers show a frame for a shorter time. GIF stores durations in
+    hundredths of a second, so they are rounded.
     """
     ends = np.rint(np.arange(len(frames) + 1) * max(frame_s, 0.02) * 100.0).astype(int)
     images = [Image.fromarray(frame).quantize(colors=96, dither=Image.Dither.NONE) for frame in frames]
@@ -93,7 +94,7 @@ def gif_bytes(frames: Sequence[Array], frame_s: float) -> bytes:
 
 
 def tile(clips: Sequence[Sequence[Array]], columns: int) -> list[Array]:
-    """Several clips side by side as one; shorter ones wait on their last frame."""
+    """One clip with several clips side by side; shorter clips stay on their last frame."""
     length = max(len(clip) for clip in clips)
     height, width, _ = clips[0][0].shape
     rows = -(-len(clips) // columns)

@@ -1,4 +1,4 @@
-"""A page with a picture of every label, the worst first: one file, to be opened without anything else."""
+"""A self-contained HTML page with a picture of every label, the worst first."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ td:first-child, th:first-child { text-align: left; }
 def label_pictures(
     labels: Sequence[GraspLabel], hand: HandModel, objects: Mapping[str, ObjectModel]
 ) -> dict[int, Array]:
-    """Pictures (height, width, 3) uint8 of the grasps, by the labels' places; one stage per object draws them all."""
+    """Pictures (height, width, 3) uint8 of the grasps, by label index; one stage per object draws all its labels."""
     pictures: dict[int, Array] = {}
     for name in dict.fromkeys(label.object_id for label in labels):
         stage = Stage(scene_meshes(hand, objects[name]))
@@ -48,7 +48,7 @@ def label_pictures(
 
 
 def label_page(title: str, summary: Iterable[str], findings: Sequence[Finding], pictures: Mapping[int, Array]) -> str:
-    """The page. summary: lines above the pictures. pictures: by the findings' places."""
+    """The HTML of the page. summary: lines above the pictures. pictures: by the findings' indices."""
     order = sorted(range(len(findings)), key=lambda i: -findings[i].badness)
     head = "".join(f"<li>{html.escape(line)}</li>" for line in summary)
     body = "\n".join(_figure(findings[i], pictures.get(i)) for i in order)
@@ -59,7 +59,7 @@ def label_page(title: str, summary: Iterable[str], findings: Sequence[Finding], 
 
 def _figure(finding: Finding, picture: Array | None) -> str:
     depth = "not measured" if finding.penetration_cm3 is None else f"{finding.penetration_cm3:.1f} cm3"
-    table = "no table" if finding.table_mm is None else f"{finding.table_mm:+.1f} mm over the table"
+    table = "no table" if finding.table_mm is None else f"{finding.table_mm:+.1f} mm above the table"
     text = (f"penetration {depth}, distance {finding.distance_mm:.1f} mm, {finding.contacts} goal contacts, "
             f"{finding.beyond_limits} angles beyond limits (by up to {finding.limit_excess_deg:.0f} degrees), {table}")
     problems = "".join(f"<div class=\"problem\">{html.escape(problem)}</div>" for problem in finding.problems)

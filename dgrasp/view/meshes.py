@@ -1,4 +1,4 @@
-"""What viewers draw: light meshes of the hand's parts and of the object, and where they are at each step."""
+"""What viewers draw: light meshes of the hand's parts and of the object, and their poses at each step."""
 
 from __future__ import annotations
 
@@ -32,8 +32,8 @@ class Mesh(NamedTuple):
 class DisplayMeshes:
     """A hand and an object to draw.
 
-    chain: the hand's kinematics. parts: names of its parts. hand: the parts' meshes in their frames; a part without a
-    shape has no faces. object: in O.
+    chain: the hand's kinematics. parts: names of its parts. hand: the parts' meshes in their own frames; the mesh of a
+    part without a shape has no faces. object: the object's mesh, in O.
     """
 
     chain: Kinematics
@@ -55,7 +55,7 @@ def scene_meshes(hand: HandModel, model: ObjectModel) -> DisplayMeshes:
 
 
 def hand_meshes(hand: HandModel) -> tuple[Mesh, ...]:
-    """The parts' meshes, of at most `PART_FACES` triangles each."""
+    """The parts' meshes, each of at most `PART_FACES` triangles."""
     surface = rigid_surface(hand)
     parts = [surface.local(part) for part in range(hand.layout.n_parts)]
     none = Mesh(np.zeros((0, 3)), np.zeros((0, 3), dtype=np.int64))
@@ -65,8 +65,8 @@ def hand_meshes(hand: HandModel) -> tuple[Mesh, ...]:
 def light(solid: Body, limit: int) -> Mesh:
     """The surface of a body with at most about `limit` triangles.
 
-    A solid is simplified within a tolerance, the smallest of 0.1 mm times a power of 2 that is enough; where that fails
-    or the body is no solid, vertices are merged in cubes.
+    A solid is simplified with the smallest tolerance of 0.1 mm times a power of 2 that suffices. If that fails, or if
+    the body is not a solid, the vertices in each cell of a grid of cubes are merged.
     """
     mesh = Mesh(*solid.surface())
     size = float(np.ptp(mesh.vertices, axis=0).max())
@@ -85,7 +85,7 @@ def light(solid: Body, limit: int) -> Mesh:
 
 
 def merged(mesh: Mesh, cell: float) -> Mesh:
-    """The mesh with all vertices in a cube of side `cell` (m) drawn together to their mean."""
+    """The mesh with all vertices in each cube of side `cell` (m) merged at their mean."""
     cubes = np.floor(mesh.vertices / cell).astype(np.int64)
     _, owner = np.unique(cubes, axis=0, return_inverse=True)
     owner = owner.reshape(-1)
@@ -101,7 +101,7 @@ def merged(mesh: Mesh, cell: float) -> Mesh:
 def body_poses(meshes: DisplayMeshes, record: EpisodeRecord) -> tuple[Array, Array]:
     """Quaternions (T, B, 4), w, x, y, z, and positions (T, B, 3) m of `meshes.bodies` in the world at each step.
 
-    Quaternions are `blendable`. Steps that a breaking simulation left with NaN repeat the last whole one.
+    Quaternions are `blendable`. Steps with NaN or infinity, left by a broken simulation, repeat the last finite step.
     """
     n = len(record.gc)
     rows = np.concatenate([record.T_WH.reshape(n, -1), record.T_WO.reshape(n, -1), record.gc], axis=1)
@@ -114,7 +114,10 @@ def body_poses(meshes: DisplayMeshes, record: EpisodeRecord) -> tuple[Array, Arr
 
 
 def blendable(R: Array) -> Array:
-    """Quaternions (T, ..., 4), w, x, y, z, of rotations (T, ..., 3, 3), each on the side of the one before."""
+    """Quaternions (T, ..., 4), w, x, y, z, of rotations (T, ..., 3, 3), with signs for interpolation over time.
+
+    Each quaternion has a non-negative scalar product with its predecessor.
+    """
     q = quaternion_from_matrix(R)
     q[1:] *= np.cumprod(np.where((q[1:] * q[:-1]).sum(axis=-1, keepdims=True) < 0.0, -1.0, 1.0), axis=0)
     return q

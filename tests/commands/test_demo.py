@@ -1,4 +1,4 @@
-"""`dgrasp demo`, short: both methods, the motion, a training, and what they leave."""
+"""A shortened `dgrasp demo`: both methods, the motion, a training, and their output files."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def test_the_demo_from_end_to_end(
     assert run_command("demo", short) == 0
     shown = capsys.readouterr().out
     assert "20 labels that no policy was trained on" in shown and "mean over objects" in shown
-    assert "carrying six objects" in shown and "trained from nothing on 004_sugar_box" in shown
+    assert "carrying six objects" in shown and "trained from scratch on 004_sugar_box" in shown
     assert f"dgrasp train --resume {run}" in shown
     for name, count in (("gt_pd", 20), ("policy", 20), ("motion", 6)):
         result = json.loads((run / f"{name}.json").read_text())
@@ -40,5 +40,5 @@ def test_the_demo_from_end_to_end(
         assert "replay-data" in (run / f"{name}.html").read_text()
     assert (run / "grasps.gif").read_bytes().startswith(b"GIF89a")
     assert (run / "checkpoints").is_dir()
-    # A folder that is there is left alone.
+    # An existing folder is not overwritten.
     assert run_command("demo", ["--run", str(run), *short]) == 2

@@ -80,7 +80,7 @@ def test_a_full_disk_ends_the_run_and_leaves_the_checkpoint_before(folder: Path,
         pytest.skip("this system has no prlimit to forbid a running process large files with")
     process = _train(folder, tmp_path / "run", "ppo.epochs=100000", "eval.every=100000", "pool.workers=1")
     _wait_for_epoch(tmp_path / "run", 1, process)
-    # From now on no file can grow beyond a few bytes, as on a full disk.
+    # From now on no file can grow beyond 100 bytes, as on a full disk.
     resource.prlimit(process.pid, resource.RLIMIT_FSIZE, (100, 100))
     _, message = process.communicate(timeout=60)
     assert process.returncode == 2 and "File too large" in message and "unharmed" in message, message
@@ -96,7 +96,7 @@ def test_a_run_directory_belongs_to_one_process(
     assert run_command("train", words) == 0
     with only_run(run):
         assert is_running(run)
-        # flock tells apart opened files, not processes, so that this process may stand for another.
+        # flock belongs to an open file, not to a process, so this process can play the part of another.
         assert run_command("train", ["--resume", str(run), "ppo.epochs=2"]) == 2
     assert "another process is training there" in capsys.readouterr().err
     assert checkpoint.load(checkpoint.latest(run)).epoch == 1
@@ -126,14 +126,14 @@ def test_runs_are_listed_and_compared(tmp_path: Path, capsys: pytest.CaptureFixt
     for name, limits in (("steps", "max_steps: 1099"), ("time", "max_minutes: 0.5")):
         shutil.copytree(tmp_path / "b", tmp_path / name)
         (tmp_path / name / "config.yaml").write_text(f"env: {{episode_steps: 100}}\nppo: {{epochs: 20, {limits}}}\n")
-    # Two labels an epoch since it was resumed: one more epoch of 200 fits, before they are four.
+    # Since the run was resumed, an epoch has two labels: one more epoch of 200 steps fits before it has four.
     shutil.copytree(tmp_path / "b", tmp_path / "resumed")
     (tmp_path / "resumed" / "config.yaml").write_text(
         "env: {episode_steps: 100}\nlabels: {per_epoch: 2, doubles_every: 12}\nppo: {epochs: 20, max_steps: 1799}\n"
     )
     (tmp_path / "resumed" / "data.json").write_text('{"kind": "free", "split": "train", "n_labels": 9}')
     (tmp_path / "resumed" / "progress.csv").write_text(header + rows + "11,1200,60.0,0.3,-3,\n")
-    # What a power cut and an editor leave is not counted.
+    # Damaged lines, such as a power failure or an editor leaves, are ignored.
     with open(tmp_path / "b" / "progress.csv", "ab") as stream:
         stream.write(b"11,x,50.0,0.3,-3,0.7\n12,1200,\xff\xfe,0.3,-3,0.8\n\0\0\0\0")
     (tmp_path / "new").mkdir()
@@ -146,13 +146,13 @@ def test_runs_are_listed_and_compared(tmp_path: Path, capsys: pytest.CaptureFixt
     assert lines[4][:2] == ["resumed", "stopped"] and lines[4][6] == "11/12"
     assert lines[5][:2] == ["steps", "finished"] and lines[5][6] == "10/10"
     assert lines[6][:2] == ["time", "finished"] and lines[6][6] == "10/20"
-    # The time was a budget's share, and what it left undone can go on.
+    # max_minutes is the share of a budget, so a run that reached it can continue.
     assert read_run(tmp_path / "steps").complete and not read_run(tmp_path / "time").complete
     assert main(["runs", str(tmp_path / "a"), str(tmp_path / "b")]) == 0
     out = capsys.readouterr().out
     lines = [line.split() for line in out.splitlines() if line.strip()]
     assert ["seed", "1", "2"] in lines
-    # Both are compared up to where the shorter one went.
+    # The comparison ends with the shorter run.
     assert lines[-1] == ["1,000", "0.400", "0.600"]
 
 
@@ -173,4 +173,4 @@ def test_what_is_not_a_run_is_refused(tmp_path: Path, capsys: pytest.CaptureFixt
     assert main(["runs", str(tmp_path), str(tmp_path)]) == 2
     assert "not a run directory" in capsys.readouterr().err
     assert main(["runs", str(tmp_path)]) == 0
-    assert "no runs there" in capsys.readouterr().out
+    assert "no runs in this folder" in capsys.readouterr().out

@@ -59,7 +59,7 @@ def test_two_epochs_are_learned_from_and_measured(which, steps, request):
     rows = rows_of(request.getfixturevalue(which))
     assert [row["control_steps"] for row in rows] == ["0", str(2 * steps), str(4 * steps)]
     for row in rows[1:]:
-        # 2 alpha_x per m and step: the targets are decimetres away.
+        # 2 alpha_x per m and step; the targets are some decimetres away.
         assert -2.0 * steps < float(row["target_position"]) < 0.0 and float(row["target_rotation"]) < 0.0
         assert np.isfinite([float(row["return"]), float(row["kl"]), float(row["value_loss"])]).all()
     assert ("contact" in rows[0]) == (which == "flat")
@@ -72,11 +72,11 @@ def test_each_baseline_is_one_line(which, name, request, tmp_path):
     assert run_command("test", ["--baseline", name, "--run", str(run), "--json", str(file)]) == 0
     result = json.loads(file.read_text())
     assert result["method"] == name and result["n_labels"] == 2 and result["motion"]["targets"] == "near"
-    # Both have the grasp's steps and the motion's.
+    # Both methods have the steps of the grasp and of the motion.
     assert result["cost"]["control_steps"] == 2 * (3 + 3)
     assert set(result["per_label"][0]) >= {"target", "mpe_m", "geodesic_rad", "carried"}
     assert result["motion"]["sigma"] == {"position": 0.01, "rotation": 0.01}
-    # The run alone says what it is.
+    # The run alone identifies the method, without --baseline.
     again = tmp_path / "again.json"
     assert run_command("test", ["--run", str(run), "--json", str(again)]) == 0
     assert json.loads(again.read_text())["per_label"] == result["per_label"]

@@ -26,7 +26,7 @@ def record(
     position: Any, *, window_start: int = 0, table: Any = None, contacts: Any = None, T_WH: Any = None,
     terminated: str = "", of: GraspLabel | None = None,
 ) -> EpisodeRecord:
-    """An episode whose object is at `position` (T, 3) after each control step; the hand rests at the origin."""
+    """An episode whose object is at `position` (T, 3) after each control step; the hand stays at the origin."""
     position = np.asarray(position, dtype=float)
     n = len(position)
     T_WO: Array = np.tile(np.eye(4), (n, 1, 1))
@@ -41,7 +41,7 @@ def record(
 
 
 def standing(pose: Any, steps: int) -> Array:
-    """(T, 4, 4): a pose (4, 4) that stays as it is for so many steps."""
+    """(T, 4, 4): a constant pose (4, 4) for the given number of steps."""
     return np.tile(np.asarray(pose, dtype=float), (steps, 1, 1))
 
 

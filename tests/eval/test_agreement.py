@@ -1,4 +1,4 @@
-"""Which labels a policy held here and in RaiSim: counted by hand, by file and by object, and damaged files."""
+"""Agreement with RaiSim's outcomes: counts worked out by hand, per file and per object, and damaged files."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from tests.scenes import make_spec
 
 @pytest.fixture
 def whole(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> LabelSet:
-    """Six labels, of 004, 004, 004, 025, 025, 025, standing for the train file."""
+    """Six labels, of the objects 004, 004, 004, 025, 025, 025, in place of the train file."""
     one = make_spec(1).labels[0]
     labels = [replace(one, object_id=name, index=i) for name in ("004_sugar_box", "025_mug") for i in range(3)]
     made = LabelSet(labels, "hand", MANO_NAMES, "", tmp_path / "train.pkl", "", ("dexycb", "train"), True)
@@ -32,7 +32,7 @@ def _policy(folder: Path, places: object) -> Path:
 
 
 def test_places_count_in_the_file(whole: LabelSet, tmp_path: Path) -> None:
-    # RaiSim held 0, 1 and 4; here 0, 2 and 5: both 0, neither 3.
+    # RaiSim held 0, 1 and 4; 0, 2 and 5 were held here: both held 0, neither held 3.
     policy = _policy(tmp_path / "all", [0, 1, 4])
     found = agreement.find_agreement(policy, whole, [True, False, True, False, False, True])
     assert found is not None
@@ -40,7 +40,7 @@ def test_places_count_in_the_file(whole: LabelSet, tmp_path: Path) -> None:
     assert found.share == pytest.approx(2 / 6)
     assert found.labels_here_alone == ["004_sugar_box[2]", "025_mug[2]"]
     assert found.labels_there_alone == ["004_sugar_box[1]", "025_mug[1]"]
-    assert "held here alone: 004_sugar_box[2], 025_mug[2]" in found.lines()
+    assert "held only here: 004_sugar_box[2], 025_mug[2]" in found.lines()
     assert found.plain()["agreement"] == found.share
 
 
@@ -53,7 +53,7 @@ def test_a_choice_of_labels_keeps_their_places(whole: LabelSet, tmp_path: Path) 
 def test_the_policy_of_one_object_counts_its_labels(whole: LabelSet, tmp_path: Path) -> None:
     policy = _policy(tmp_path / "025_mug_dexycb", [0, 2])
     found = agreement.find_agreement(policy, whole, [True] * 6)
-    # The boxes are not its labels.
+    # The labels of the box are not labels of this policy.
     assert found is not None and (found.both, found.here_alone) == (2, 1) and found.labels_here_alone == ["025_mug[1]"]
     assert agreement.find_agreement(policy, replace(whole, labels=whole.labels[:3]), [True] * 3) is None
 

@@ -1,4 +1,4 @@
-"""Evaluated episodes: their phases, what is recorded, and how a fall and an explosion look."""
+"""Evaluated episodes: their phases, their records, and how a fall and an explosion appear in them."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from tests.scenes import make_spec
 
 
 class Still:
-    """Does nothing: the wrist is guided to its goal, the fingers stay open."""
+    """A method with zero actions: the wrist is guided to its goal, and the fingers stay open."""
 
     name, mode = "still", "test"
 
@@ -56,7 +56,7 @@ def test_the_pd_baseline_starts_in_the_labels_pose_without_a_table(pool):
     records, _ = evaluate(pool, PdBaseline(), windowed(pool, 0.1))
     label = pool.labels[1]
     assert records[1].window_start == 0
-    # The wrist, which is to carry the object's weight, rises until the object does weigh on it.
+    # The wrist's controller compensates for the object's weight, so the wrist rises until it carries the object.
     rise = records[1].T_WH[0, :3, 3] - label.T_WH[:3, 3]
     assert np.abs(rise[:2]).max() < 2e-3
     assert 0.0 < rise[2] < 10.0 * pool.env.s.object_mass[1] / 500.0

@@ -1,4 +1,4 @@
-"""Classes of failure on records made by hand: a grasping phase of 10 steps, then a window of 40 (1.15 s)."""
+"""Classes of failure on records made by hand: a grasping phase of 10 steps, then a window of 40 steps (1.15 s)."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ WINDOW = STEPS * DT
 
 
 def episode(last_touch: int | None, landed: int | None, first_touch: int = 5, **changes: Any) -> EpisodeRecord:
-    """Touched from `first_touch` to `last_touch`, on the table from step `landed` on (None: never)."""
+    """The hand touches the object from `first_touch` to `last_touch`; the object lands at `landed` (None: never)."""
     n = START + STEPS
     steps = np.arange(n)
     touch = (steps >= first_touch) & (steps <= (n if last_touch is None else last_touch))
@@ -34,7 +34,7 @@ def episode(last_touch: int | None, landed: int | None, first_touch: int = 5, **
 
 
 def moved(offset: tuple[float, float, float], since: int) -> Array:
-    """Positions that are displaced by `offset` from the step `since` on."""
+    """Positions displaced by `offset` from step `since` on."""
     position = at(np.full(START + STEPS, 0.6))
     position[since:] += offset
     return position
@@ -47,11 +47,11 @@ def test_held_is_success() -> None:
 
 
 def test_lift_is_a_loss_in_the_first_half_second() -> None:
-    # The table goes before step 10; the last touch is in step 12, whose state is 3 steps later.
+    # The table is removed before step 10; the last touch is in step 12, whose state is 3 steps later.
     end = outcome(episode(12, 20), WINDOW)
     assert (end.kind, end.step) == ("lift", 12)
     assert end.lost_s == pytest.approx(3 * DT)
-    # 0.5 s are 17.3 steps: a last touch 17 steps after the table went is lift, one after 18 is not.
+    # 0.5 s are 17.3 steps: a last touch 17 steps after the table was removed is "lift", one after 18 steps is not.
     assert outcome(episode(START + 16, 40), WINDOW).kind == "lift"
     assert outcome(episode(START + 17, 40), WINDOW).kind == "drop"
 
@@ -59,7 +59,7 @@ def test_lift_is_a_loss_in_the_first_half_second() -> None:
 def test_never_touched_is_approach_from_time_zero() -> None:
     end = outcome(episode(-1, 17), WINDOW)
     assert (end.kind, end.step, end.lost_s) == ("approach", START - 1, 0.0)
-    # A touch that ended 6 steps (0.17 s) before the table went is no grip any more; 5 steps (0.144 s) is.
+    # A touch that ended 6 steps (0.17 s) before the table was removed does not count as a grip; 5 steps (0.144 s) does.
     assert outcome(episode(START - 6, 17, first_touch=2), WINDOW).kind == "approach"
     assert outcome(episode(START - 5, 17, first_touch=2), WINDOW).kind == "lift"
 
@@ -67,7 +67,7 @@ def test_never_touched_is_approach_from_time_zero() -> None:
 def test_pushed_or_tipped_before_the_table_goes_is_approach() -> None:
     assert outcome(episode(30, 40, position=moved((0.051, 0.0, 0.0), 8)), WINDOW).kind == "approach"
     assert outcome(episode(30, 40, position=moved((0.049, 0.0, 0.0), 8)), WINDOW).kind == "drop"
-    # Upwards is no push.
+    # Upward motion does not count as a push.
     assert outcome(episode(30, 40, position=moved((0.0, 0.0, 0.2), 8)), WINDOW).kind == "drop"
     for angles, kind in (((0.6, 0.0, 0.0), "approach"), ((0.5, 0.0, 0.0), "drop"), ((0.0, 0.0, 2.0), "drop")):
         one = episode(30, 40)
@@ -80,7 +80,7 @@ def test_an_object_that_was_pushed_and_is_held_was_held() -> None:
 
 
 def test_slip_is_sliding_in_the_hand_before_the_loss() -> None:
-    # The last touch is step 35; 0.2 s before are 7 steps: step 28 decides.
+    # The last touch is in step 35. 0.2 s before it are 7 steps, so step 28 decides.
     assert outcome(episode(35, 42, position=moved((0.0, 0.0, -0.021), 28)), WINDOW).kind == "slip"
     assert outcome(episode(35, 42, position=moved((0.0, 0.0, -0.021), 29)), WINDOW).kind == "drop"
     assert outcome(episode(35, 42, position=moved((0.0, 0.0, -0.019), 28)), WINDOW).kind == "drop"
@@ -92,7 +92,7 @@ def test_a_hand_that_carries_the_object_away_does_not_let_it_slip() -> None:
     T_WH[20:, 1, 3] += 0.1
     one.T_WH = T_WH
     assert outcome(one, WINDOW).kind == "drop"
-    # A wrist that turns about the object's place far away moves it in its own frame.
+    # If the wrist turns, an object that stays in the world far from it moves in the wrist's frame.
     one.T_WH = T_WH.copy()
     one.T_WH[20:, :3, :3] = matrix_from_euler(np.array([0.2, 0.0, 0.0]))
     assert outcome(one, WINDOW).kind == "slip"

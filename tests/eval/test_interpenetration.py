@@ -1,4 +1,4 @@
-"""Interpenetration of episodes: which state, which meshes, and what is known of both measures."""
+"""Interpenetration of episodes: the state and the meshes used, and cases with known values of both measures."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def measure_of(meshes: list[tuple[Array, Array]], detailed: bool = True) -> Inte
 
 
 def grasped(offset: Array, window_start: int = 0) -> EpisodeRecord:
-    """The label's wrist is `offset` from the object, in a world that is turned; the episode's own is far away."""
+    """The label's wrist is `offset` from the object, in a rotated world; the episode's own wrist is far away."""
     T_WO = transform(matrix_from_euler(np.array([0.4, -0.7, 1.3])), np.array([0.5, 0.2, 0.6]))
     one = dataclasses.replace(label(), T_WO=T_WO, T_WH=T_WO @ moved(*offset))
     return record(at([0.6, 5.0, 9.0]), window_start=window_start, of=one)
@@ -57,7 +57,7 @@ def test_a_ball_within_a_block_has_a_volume_but_no_shell() -> None:
     values = measure_of([box((0.1, 0.1, 0.1))]).measure(grasped(np.zeros(3)))
     assert values["interpenetration_cm3"] == pytest.approx(36 * np.pi, rel=2e-3)
     assert values["interpenetration_shell_cm3"] == 0.0
-    # Half out of a face: half the ball's volume; of the shell the disk of 9 pi cm^2, 5 mm thick.
+    # Half of the ball is outside a face: half the ball's volume, and of the shell a disk of 9 pi cm^2, 5 mm thick.
     values = measure_of([box((0.1, 0.1, 0.1))]).measure(grasped(np.array([0.05, 0.0, 0.0])))
     assert values["interpenetration_cm3"] == pytest.approx(18 * np.pi, rel=3e-3)
     assert values["interpenetration_shell_cm3"] == pytest.approx(9 * np.pi * 0.5, rel=0.1)
@@ -65,7 +65,7 @@ def test_a_ball_within_a_block_has_a_volume_but_no_shell() -> None:
 
 def test_the_state_is_the_last_of_the_grasp_or_the_label() -> None:
     measure = measure_of([ball(0.03)])
-    # Steps 0 and 1 grasp; the hand rests at the origin. At step 1 the object is 2 cm from it, before and after 1 m.
+    # Steps 0 and 1 are the grasp; the hand stays at the origin. The object is 2 cm from it at step 1, otherwise 1 m.
     episode = record(at([1.0, 0.02, 1.0, 1.0]), window_start=2)
     assert measure.measure(episode)["interpenetration_cm3"] == pytest.approx(lens(0.03, 0.02) * 1e6, rel=3e-3)
     assert measure.measure(grasped(np.array([0.02, 0, 0])))["interpenetration_cm3"] == pytest.approx(
@@ -87,7 +87,7 @@ def test_report() -> None:
 
 def test_doubts_and_failures_are_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     measure = measure_of([ball(0.03)])
-    # A body whose triangles are not those of its solid, as where a mesh cuts through itself.
+    # A body whose triangles differ from those of its solid, as for a mesh that intersects itself.
     good = measure.objects["004_sugar_box"].body
     measure.objects = {"004_sugar_box": ObjectBody(Body(good.vertices * 0.8, good.faces, good.solid, 0), True)}
     measure.measure(grasped(np.array([0.01, 0.0, 0.0])))
@@ -117,7 +117,7 @@ def test_of_the_chosen_data() -> None:
 
 
 def test_the_papers_numbers_are_those_of_the_shell_and_ik_doubles_them() -> None:
-    """On the authors' labels of four objects, one label in three; docs/metrics.md has all of them."""
+    """Every third of the authors' labels of four objects; docs/metrics.md has all labels."""
     reference = reference_or_skip()
     config = load_config(None, [f"data={reference}", 'labels.objects=["007","024","025","036"]'])
     choice = resolve(config)
@@ -136,5 +136,5 @@ def test_the_papers_numbers_are_those_of_the_shell_and_ik_doubles_them() -> None
             episodes = [dataclasses.replace(grasped(np.zeros(3)), label=one) for one in chosen if one.object_id == name]
             mean = float(np.mean([measure.measure(episode)["interpenetration_shell_cm3"] for episode in episodes]))
             ratios.append(mean / column[name]["interpenetration_cm3"])
-    # The part meshes lack the skin between the parts, some 17% of what counts here; a third of the labels adds noise.
+    # The part meshes lack the skin between the parts, about 17% of this volume; using a third of the labels adds noise.
     assert all(0.55 < ratio < 1.2 for ratio in ratios) and np.mean(ratios) == pytest.approx(0.83, abs=0.1)

@@ -19,11 +19,11 @@ def test_of_a_coin() -> None:
 
 
 def test_over_objects_the_objects_are_given_and_their_labels_drawn() -> None:
-    # Two objects that differ by far, each with labels that agree: no label could change the mean.
+    # Two very different objects, each with identical labels: resampling labels cannot change the mean.
     values = {"x": {"a": [0.0] * 5, "b": [10.0] * 20}}
     out = intervals(values, rng())
     assert out["mean_over_objects"]["x"] == [5.0, 5.0]
-    # Over labels the share of the objects itself varies: 8 +- 2 * 10 sqrt(0.2 * 0.8 / 25).
+    # Over labels, the shares of the objects vary too: 8 +- 2 * 10 sqrt(0.2 * 0.8 / 25).
     assert out["mean_over_labels"]["x"] == pytest.approx([6.4, 9.6], abs=0.5)
 
 

@@ -38,7 +38,7 @@ def test_beside_the_paper_every_row_has_as_many_cells_as_columns() -> None:
     lines = body(latex_text(result(rows, PAPER)))
     assert lines[0] == r"\begin{tabular}{lrrrrrrrr}"
     assert r"\cmidrule(lr){3-4} \cmidrule(lr){5-6} \cmidrule(lr){8-9}" in lines
-    # The paper's interpenetration stands beside the shell, by which it was measured.
+    # The paper's interpenetration is next to the shell's column, because the paper measured the shell.
     assert r"002\_master\_chef\_can & 2 & 0.50 & 0.19 & 12.6 & 18.0 & 2.50 & 4.00 & 5.68 \\" in lines
     assert all(line.count("&") == 8 for line in lines[4:] if "&" in line)
 

@@ -74,7 +74,7 @@ def test_an_episode_that_ended_early_fails() -> None:
     assert not success(full, WINDOW)
     cut = record(at([0.6] * 5 + [0.61, 0.62, np.nan]), window_start=5, terminated="NaN")
     assert not success(cut, WINDOW)
-    # Two sound steps of 10 mm; the broken one is left out.
+    # Two valid steps of 10 mm; the broken one is left out.
     assert sim_dist_mm_per_step(cut, WINDOW) == pytest.approx(10.0)
     before = record(at([0.6, np.nan]), window_start=5, terminated="NaN")
     assert not success(before, WINDOW)
@@ -83,7 +83,7 @@ def test_an_episode_that_ended_early_fails() -> None:
 
 
 def test_sim_dist_by_hand() -> None:
-    # Before the window the object moves 1 m a step, which does not count; then 3-4-5 mm steps, then rest.
+    # Before the window the object moves 1 m per step, which does not count; then 3-4-5 mm steps, then rest.
     x = [[0, 0, 2.0], [0, 0, 1.0], [0.003, 0.004, 1.0], [0.006, 0.008, 1.0], [0.006, 0.008, 1.0], [9.0, 9.0, 1.0]]
     episode = record(x, window_start=2)
     assert sim_dist_mm_per_step(episode, 3 * DT) == pytest.approx((5.0 + 5.0 + 0.0) / 3)
@@ -91,15 +91,15 @@ def test_sim_dist_by_hand() -> None:
 
 
 def test_a_record_that_begins_with_the_window() -> None:
-    # Without a state before it, the window's ten states have nine displacements: 9 of 2 mm.
+    # Without a state before the window, its ten states give nine displacements of 2 mm.
     episode = record(at(1.0 - 0.002 * np.arange(STEPS)), window_start=0)
     assert sim_dist_mm_per_step(episode, WINDOW) == pytest.approx(2.0)
     assert sim_dist_mm_per_step(record(at([1.0]), window_start=0), DT) is None
 
 
 def test_a_can_in_free_fall_scores_24_mm_per_step() -> None:
-    # Released at rest, z = h - g t^2 / 2; after six steps it has fallen 147 mm and touches. The mean step is
-    # g dt^2 6 / 2 = 24.5 mm, which as mm/s would be a crawl; what it lies still afterwards does not count.
+    # Released at rest, z = h - g t^2 / 2; after six steps the can has fallen 147 mm and touches the table. The mean
+    # step is g dt^2 6 / 2 = 24.5 mm, which would be very slow in mm/s. The steps at rest after the fall do not count.
     t = np.arange(STEPS + 1) * DT
     fall = 0.5 - 0.5 * 9.81 * np.minimum(t, 6 * DT) ** 2
     table = np.arange(STEPS + 1) >= 6
@@ -131,7 +131,8 @@ def test_sim_dist_is_the_same_in_every_world_frame() -> None:
 
 
 def test_sim_dist_to_the_wrist() -> None:
-    # Hand and object move together, and the hand turns about the object's place: no displacement in the wrist frame.
+    # Hand and object move together, and the hand turns about the object's position: the object does not move in the
+    # wrist frame.
     n = 12
     T_WH = np.tile(np.eye(4), (n, 1, 1))
     T_WH[:, :3, :3] = Rotation.from_euler("y", 0.1 * np.arange(n)[:, None]).as_matrix()
@@ -140,7 +141,7 @@ def test_sim_dist_to_the_wrist() -> None:
     held = record(x, window_start=2, T_WH=T_WH)
     assert sim_dist_wrist_mm_per_step(held, WINDOW) == pytest.approx(0.0, abs=1e-9)
     assert sim_dist_mm_per_step(held, WINDOW) > 5.0  # type: ignore[operator]
-    # The object stays in the world and the hand leaves straight by 10 mm a step.
+    # The object stays in the world, and the hand moves away in a straight line by 10 mm per step.
     T_WH[:, :3, :3] = Rotation.from_euler("x", 0.7).as_matrix()
     left = record(at(np.full(n, 0.6)), window_start=2, T_WH=T_WH)
     assert sim_dist_wrist_mm_per_step(left, WINDOW) == pytest.approx(10.0)
@@ -154,7 +155,7 @@ def test_broken_states_of_an_episode_that_did_not_end_are_an_error() -> None:
 
 
 def targeted(T_WO: Array, T_WG: Array, window_start: int = 0) -> EpisodeRecord:
-    """An episode with the object's poses and its target: (T, 4, 4), or (4, 4) for one that stands."""
+    """An episode with the object's poses and its target: (T, 4, 4), or (4, 4) for a constant target."""
     made = record(np.zeros((len(T_WO), 3)), window_start=window_start)
     return replace(made, T_WO=T_WO, T_WG=np.broadcast_to(T_WG, T_WO.shape))
 
@@ -180,7 +181,7 @@ def test_geodesic_of_a_rotation(angle: float) -> None:
     T_WO, T_WG = turned("y", angle), np.eye(4)
     T_WO[:, :3, :3], T_WG[:3, :3] = base @ T_WO[:, :3, :3], base
     assert geodesic_rad(targeted(T_WO, T_WG)) == pytest.approx(angle, abs=1e-9)
-    # The same angle in degrees of the paper's formula, where it has digits.
+    # The paper's formula gives the same angle in the range where it is accurate.
     if 0.1 < angle < 3.1:
         trace = np.trace(T_WO[0, :3, :3] @ T_WG[:3, :3].T)
         assert geodesic_rad(targeted(T_WO, T_WG)) == pytest.approx(np.arccos(0.5 * (trace - 1)))
@@ -229,7 +230,7 @@ def test_the_pose_of_a_grasp() -> None:
 
 
 def test_distance_of_a_grasp_to_the_labels() -> None:
-    """Hand and object moved together are where the label says; the object alone by 30 mm is 30 mm off."""
+    """Moving hand and object together gives distance 0; moving only the object by 30 mm gives 30 mm."""
     made = record(at([0.6, 0.6, 0.6]), window_start=2)
     points = np.random.default_rng(4).normal(size=(21, 3))
     wanted = replace(made.label, joints_W=points)
@@ -249,7 +250,7 @@ def test_distance_of_a_grasp_to_the_labels() -> None:
 
 
 def test_contact_ratio_over_the_whole_sequence() -> None:
-    # Goals are parts 0 and 3. Over 4 steps part 0 touches once and part 3 three times: 4 of 8. Part 7 is no goal.
+    # Goals are parts 0 and 3. Over 4 steps part 0 touches once and part 3 three times: 4 of 8. Part 7 is not a goal.
     contacts = np.zeros((4, 16))
     contacts[0, 0] = 1.0
     contacts[1:, 3] = 1.0

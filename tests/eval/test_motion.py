@@ -1,4 +1,4 @@
-"""The experiment of motion synthesis: what it leaves out, what it records, and its numbers beside the paper's."""
+"""The experiment of motion synthesis: grasps that it leaves out, its records, and its numbers beside the paper's."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def test_a_fall_to_the_floor_ends_the_episode_there() -> None:
     assert row["mpe_m"] == pytest.approx(1.1) and not row["carried"] and row["terminated"] == ON_FLOOR
     held = moved([0.5, 0.4])
     assert until_floor(held) is held
-    # What was below the floor before its motion began says nothing.
+    # A height below the floor before the motion begins is ignored.
     assert until_floor(moved([-0.1, 0.4])).terminated == ""
 
 
@@ -101,7 +101,7 @@ def test_a_path_is_followed_to_its_end_after_the_grasp() -> None:
     (made,) = motions.records
     assert motions.steps == 6 and made.window_start == 3 and len(made.gc) == 9 and motions.poses_per_target == 6
     assert made.T_WG is not None
-    # Until the motion begins the target is where the object started.
+    # Until the motion begins, the target is the object's start.
     assert np.allclose(made.T_WG[2, :3, 3], made.label.start.T_WO[:3, 3])  # type: ignore[union-attr]
 
 

@@ -53,7 +53,7 @@ def test_ours_beside_the_paper(beside: Result) -> None:
     assert rows[0] == ["002_master_chef_can", "2", "0.50", "0.19", "12.6", "18.0", "2.50", "5.68"]
     # (0.19 + 0.35) / 2 in the paper for these two objects.
     assert rows[2][2:4] == ["0.75", "0.27"]
-    # The paper averages over objects alone.
+    # The paper averages only over objects.
     assert rows[3][2:4] == ["0.67", ""]
 
 
@@ -86,7 +86,7 @@ def test_on_the_terminal_it_fits_80_columns_and_says_what_it_rests_on() -> None:
     table = text.split("mean over labels")[0]
     assert "…" not in table and "interpen." in table and "success" in table and "contact" not in table
     for said in ("95% intervals of the means", "the hand's part meshes, objects' detailed meshes", "MANO's skin",
-                 "doubtful on 1 labels", "2 holes capped", "0.03 s per label", "counted so: 9.50 cm3, paper 5.68"):
+                 "doubtful on 1 labels", "2 holes capped", "0.03 s per label", "that way: 9.50 cm3, paper 5.68"):
         assert said in text.replace("\n", " "), said
     assert "interpen. by shell cm3" in output.markdown_text(one)
     plain = summarise(rows, method="gt_pd", engine="pybullet", window_s=5.0, seed=1, data=FREE, cost=COST)

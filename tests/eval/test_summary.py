@@ -147,7 +147,7 @@ def test_beside_the_paper() -> None:
     # All 20 objects: the printed average, not the mean of the rounded rows (0.3145).
     assert out.paper["success"]["average"] == 0.31
     assert len(out.paper["success"]) == 21
-    # Success does not vary here, so that it correlates with nothing; the other was turned round.
+    # Success does not vary here, so it has no correlation; the other metric was reversed.
     assert out.correlation_with_paper == {"sim_dist_mm_per_step": pytest.approx(-1.0)}
 
 

@@ -38,7 +38,7 @@ def meshes() -> DisplayMeshes:
 
 
 def episode(**changes: Any) -> EpisodeRecord:
-    """The wrist turns by 0.3 rad a step about z, past half a turn; the object sinks by 1 cm a step."""
+    """The wrist turns by 0.3 rad per step about z, past half a turn; the object sinks by 1 cm per step."""
     rng = np.random.default_rng(5)
     gc = rng.uniform(-0.5, 0.5, (STEPS, 51))
     T_WH: Array = np.stack([transform(matrix_from_euler(np.array([0.2, 0.0, 2.2 + 0.3 * k])), np.array([0.5, 0.1, 0.7]))
@@ -56,7 +56,7 @@ def episode(**changes: Any) -> EpisodeRecord:
 
 
 def sequence(mano: dict[str, Any] | None = None, **changes: Any) -> StoredSequence:
-    """The episode with what is stored beside it."""
+    """The episode with the other contents of a stored sequence."""
     about = {
         "method": "gt_pd", "engine": "pybullet", "window_s": 5 * DT, "timestep_s": 0.00222, "code": "test",
         "data": {"labels": "free_train.npz", "licence": "MIT"}, "table": {"top_m": 0.5, "lowered_m": 0.25},

@@ -18,7 +18,7 @@ from tests.export.sequences import sequence
 
 @pytest.fixture(scope="module")
 def tested(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """An evaluation of two labels, with everything that it can leave."""
+    """An evaluation of two labels with all of its output files."""
     place = tmp_path_factory.mktemp("tested")
     words = ["--baseline", "gt_pd", "--data", str(make_folder(place / "set")), "pool.kind=serial", "eval.window_s=0.3"]
     words += ["--json", str(place / "a.json"), "--report", str(place / "a.html"), "--records", str(place / "sequences")]
@@ -69,7 +69,7 @@ def test_export_of_a_file_and_of_a_folder(tmp_path: Path, capsys: pytest.Capture
     [
         (["--out", "a.xyz"], "no format in its name; expected --format npz|glb|gif|mp4"),
         (["--out", "here.glb"], "exists already"),
-        (["--out", "a.glb", "--mano", "M.pkl"], "leave it out"),
+        (["--out", "a.glb", "--mano", "M.pkl"], "leave out --mano"),
     ],
 )
 def test_wrong_use_is_told(
@@ -99,7 +99,7 @@ def test_view_writes_a_page_and_opens_it(
     monkeypatch.setattr("webbrowser.open", lambda address: bool(opened.append(address)))
     assert run_command("view", [str(tmp_path / "in")]) == 0
     page = (tmp_path / "in" / "view.html").read_text()
-    assert opened == [(tmp_path / "in" / "view.html").as_uri()] and "no browser here" in capsys.readouterr().out
+    assert opened == [(tmp_path / "in" / "view.html").as_uri()] and "no browser found" in capsys.readouterr().out
     text = page.split('id="replay-data">')[1].split("</script>")[0]
     (replay,) = json.loads(text)["replays"]
     assert (replay["object"], replay["index"], replay["n"]) == ("004_sugar_box", 0, 8)

@@ -15,7 +15,7 @@ from tests.export.sequences import STEPS, sequence
 
 
 def blue(picture: np.ndarray) -> np.ndarray:
-    """Rows of the pixels that show the object, which alone is blue."""
+    """Rows of the pixels that show the object, the only blue thing."""
     r, g, b = (picture[..., k].astype(int) for k in range(3))
     return np.nonzero((b > r + 25) & (b > g + 10))[0]
 
@@ -38,7 +38,7 @@ def test_gif_plays_at_the_sequences_speed(monkeypatch: pytest.MonkeyPatch) -> No
         for frame in range(image.n_frames):
             image.seek(frame)
             shown.append(image.info["duration"])
-        # Two control steps of 28.86 ms each; GIF has hundredths of a second, which do not add up to an error.
+        # Each frame lasts two control steps of 28.86 ms. GIF rounds to hundredths of a second; errors do not add up.
         assert sum(shown) == pytest.approx(1000 * STEPS * DT, abs=5.0)
 
 

@@ -1,4 +1,4 @@
-"""The GLB file, read back by the letter of glTF 2.0, and by another program's reader."""
+"""The GLB file, read back according to the glTF 2.0 specification and with another library's reader."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ WIDTH = {"SCALAR": 1, "VEC3": 3, "VEC4": 4}
 
 
 class Parsed:
-    """The document and its numbers."""
+    """The JSON document of a GLB and the arrays of its accessors."""
 
     def __init__(self, raw: bytes) -> None:
         magic, version, length = struct.unpack_from("<III", raw)
@@ -111,7 +111,7 @@ def test_animation_is_the_recorded_motion(file: Parsed) -> None:
         else:
             assert np.linalg.norm(values, axis=1) == pytest.approx(1.0, abs=1e-5)
             assert values[:, [3, 0, 1, 2]] == pytest.approx(q[:, node], abs=1e-6)
-            # Blending the long way round would spin the part.
+            # Interpolating the long way round would spin the part.
             assert ((values[1:] * values[:-1]).sum(axis=1) > 0).all()
 
 

@@ -48,7 +48,7 @@ def test_a_file_may_hold_one_pose_for_a_target_that_stands(tmp_path: Path) -> No
 def test_a_folder_has_a_file_for_each_and_is_never_mixed_up(tmp_path: Path) -> None:
     folder = tmp_path / "new"
     assert write_folder(folder, [sequence(), sequence()]) == 2
-    # Two labels of the same place and object come from different sources.
+    # Two labels can have the same object and index if they come from different sources.
     assert [file.name for file in sequence_files(folder)] == ["004_sugar_box_0000.npz", "004_sugar_box_0000_1.npz"]
     with pytest.raises(DataError, match="not an empty folder; choose another"):
         check_folder(folder)
@@ -57,7 +57,7 @@ def test_a_folder_has_a_file_for_each_and_is_never_mixed_up(tmp_path: Path) -> N
 
 
 def changed(path: Path, **members: Any) -> Path:
-    """The file with members replaced, or left out where they are None."""
+    """The file with some members replaced, or removed if their value is None."""
     write_sequence(path, sequence())
     with np.load(path) as archive:
         arrays: dict[str, Array] = {name: archive[name] for name in archive.files}
@@ -69,7 +69,7 @@ def changed(path: Path, **members: Any) -> Path:
 
 
 def described(**changes: Any) -> Array:
-    """The description of a sequence with changes."""
+    """The `meta` of a sequence with some entries changed."""
     with tempfile.TemporaryDirectory() as folder:
         write_sequence(Path(folder) / "a.npz", sequence())
         with np.load(Path(folder) / "a.npz") as archive:
@@ -83,7 +83,7 @@ def described(**changes: Any) -> Array:
         ({"gc": np.zeros((8, 50), np.float32)}, r"gc has shape \(8, 50\); expected \(8, 51\)"),
         ({"T_WO": np.zeros((7, 4, 4), np.float32)}, "T_WO has shape"),
         ({"mesh_sizes": np.zeros((17, 2), np.int32)}, "do not add up"),
-        ({"mesh_faces": np.full((36, 3), 9, np.int32)}, "a face of palm has a vertex that is not there"),
+        ({"mesh_faces": np.full((36, 3), 9, np.int32)}, "a face of palm names a vertex that does not exist"),
         ({"meta": np.array('{"format": "dgrasp-sequence", "schema": 3}')}, "schema 3; this program reads 1 to 2"),
         ({"meta": np.array('{"format": "dgrasp-sequence", "schema": 1}')}, "description is incomplete"),
         ({"meta": described(table={})}, r"incomplete or wrong \(table\)"),

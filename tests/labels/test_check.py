@@ -191,7 +191,7 @@ def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None
     assert main(["labels", "check", str(tmp_path / "a.npz"), "--data", "free", "--html"]) == 0
     shown = capsys.readouterr().out
     assert "5 labels of 2 objects: 5 with an approach, 5 with a table" in shown
-    assert "1 cannot carry the weight by what they touch; 0 duplicates" in shown
+    assert "1 cannot carry the object's weight with their contacts; 0 duplicates" in shown
     assert "1 labels with problems" in shown and "004_sugar_box[7]: hand 500 mm from the object" in shown
     page = (tmp_path / "a.html").read_text()
     # The worst comes first, every label has a picture, and text is escaped.

@@ -75,7 +75,7 @@ def test_the_labels_go_on_to_be_checked(mini: MiniDexYcb, hand: Path, capsys: py
     shown = capsys.readouterr().out
     assert "hand mini_hand" in shown and "1 labels of 1 objects: 1 with an approach, 1 with a table" in shown
     # The object's origin is 0.1 m above the table, half of the box's height is 0.0875.
-    assert "objects' lowest points +12.5 to +12.5 mm over the table's top" in shown
+    assert "the objects' lowest points are +12.5 to +12.5 mm above the table's top" in shown
     # And the mini hand is cubes around its joints, which end farther from the box than its skin.
     assert "dexycb:s1/a:004_sugar_box[0]: hand 29 mm from the object; object 13 mm over the table" in shown
 
@@ -128,7 +128,7 @@ def test_several_subjects_and_what_is_skipped(
     assert labels[1].T_WO[2, 3] == pytest.approx(0.616, abs=1e-6)
     assert labels[2].start is None and labels[1].start is not None
     shown = capsys.readouterr().out
-    assert "labels without an approach, because the hand was first seen nearer than 0.2 m: 1" in shown
+    assert "labels without an approach, because the hand was first seen closer than 0.2 m: 1" in shown
     _, meta = read_native_with_meta(mini.root / OUT)
     assert meta["provenance"]["skipped"] == {
         "s3/j": "left hand", "s2/e": "hand not annotated", "s3/f": "object not annotated",
@@ -145,10 +145,10 @@ def test_a_tag_that_faces_down_is_turned(
 ) -> None:
     mini.add("s1", "a", standard(), tag="down")
     (label,) = run(mini, hand)
-    assert "tags whose z points into the table, turned about x: 1" in capsys.readouterr().out
+    assert "tags whose z axis points into the table (turned about x): 1" in capsys.readouterr().out
     run(mini, hand)
     shown = capsys.readouterr().out
-    assert "1 results from the cache" in shown and "turned about x: 1" in shown
+    assert "1 results from the cache" in shown and "(turned about x): 1" in shown
     # Its y and z are reversed; turned about its x, it is the upright tag again.
     np.testing.assert_allclose(label.T_WO[:3, 3], [0.6, 0.2, 0.612], atol=1e-6)
 

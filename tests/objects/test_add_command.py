@@ -88,11 +88,11 @@ def test_a_folder_adds_what_it_can(tmp_path: Path, capsys: pytest.CaptureFixture
     assert len(refused) == 2 and all(line.startswith("refused: ") for line in refused)
     assert "bad.stl" in refused[0] and "doubt.glb" in refused[1] and "--units" in refused[1]
     assert sorted(p.name for p in (tmp_path / "to").iterdir()) == ["good_one", "set_good"]
-    assert "good_one" in shown.out and "known, nothing computed" not in shown.out
+    assert "good_one" in shown.out and "already there, nothing computed" not in shown.out
     (folder / "bad.stl").unlink()
     (folder / "doubt.glb").unlink()
     assert main(words) == 0
-    assert capsys.readouterr().out.count("known, nothing computed") == 2
+    assert capsys.readouterr().out.count("already there, nothing computed") == 2
 
 
 @pytest.mark.parametrize(

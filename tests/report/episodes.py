@@ -22,7 +22,7 @@ SUGAR, MUG = "004_sugar_box", "025_mug"
 
 
 def records(names: tuple[str, str] = (SUGAR, MUG)) -> list[EpisodeRecord]:
-    """Per object one that is held, and one that lands in the sixth step."""
+    """For each object one episode that is held, and one whose object lands in the sixth step."""
     made = []
     for name in names:
         for index, landed in enumerate((False, True)):
@@ -33,7 +33,7 @@ def records(names: tuple[str, str] = (SUGAR, MUG)) -> list[EpisodeRecord]:
 
 
 def evaluated(data: dict[str, Any] = FREE, names: tuple[str, str] = (SUGAR, MUG)) -> Result:
-    """Their result."""
+    """The result of `records`."""
     return summarise(records(names), method="gt_pd", engine="pybullet", window_s=WINDOW, seed=1, data=data, cost=COST)
 
 
@@ -44,6 +44,6 @@ def drawn(names: tuple[str, str] = (SUGAR, MUG)) -> dict[str, DisplayMeshes]:
 
 @cache
 def page() -> str:
-    """The report."""
+    """The HTML of the report."""
     result = evaluated()
     return html_text(result, records(), drawn(), report(result.per_label, WINDOW, DT))

@@ -28,7 +28,7 @@ FLAGS = (
 
 
 def chromium() -> str | None:
-    """A Chromium's path, or None."""
+    """The path of a Chromium browser, or None."""
     for name in ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome"):
         if found := shutil.which(name):
             return found
@@ -38,7 +38,7 @@ def chromium() -> str | None:
 
 
 class Browser:
-    """Opens the report anew for each look at it."""
+    """Opens the report in a new browser process for each view."""
 
     def __init__(self, binary: str, folder: Path) -> None:
         self.binary, self.folder, self.looks = binary, folder, 0
@@ -58,7 +58,7 @@ class Browser:
         return self._run("--dump-dom", view)
 
     def picture(self, view: str) -> Array:
-        """The middle of the replay that fills the window, (300, 500, 3): no text, no controls."""
+        """The middle of the replay in full-window mode, (300, 500, 3), without text and controls."""
         file = self.folder / "shot.png"
         file.unlink(missing_ok=True)
         self._run(f"--screenshot={file}", f"{view}&full=1")
@@ -88,8 +88,8 @@ def test_the_replay_moves_and_turns(browser: Browser) -> None:
     start, again, end, turned = (browser.picture(view) for view in (
         "replay=2&t=0&zoom=2", "replay=2&t=0&zoom=2", "replay=2&t=1&zoom=2", "replay=2&t=0&zoom=2&yaw=170"))
     assert np.abs(start - again).max() <= 2
-    # The hand turns by two radians and the object sinks by 7 cm: a good part of the picture is another.
+    # The hand turns by two radians and the object sinks by 7 cm, so a good part of the picture changes.
     for other in (end, turned):
         assert (np.abs(start - other).max(axis=2) > 30).mean() > 0.03
-    # It shows the object, the only thing that is blue.
+    # The picture shows the object, the only blue thing.
     assert ((start[..., 2] - start[..., 0]) > 40).mean() > 0.01

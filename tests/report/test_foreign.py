@@ -1,4 +1,4 @@
-"""Sequences from others cannot become markup of a page."""
+"""Texts in stored sequences from other people cannot inject markup into a page."""
 
 from __future__ import annotations
 

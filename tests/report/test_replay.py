@@ -81,7 +81,7 @@ def test_a_target_is_one_more_body() -> None:
 def test_long_and_broken_episodes(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(replay, "MAX_FRAMES", 4)
     (one,) = packed()["replays"]
-    # Steps 0, 2, 4, 6; the table goes after step 2, which is frame 1.
+    # Steps 0, 2, 4, 6; the table is removed after step 2, which is frame 1.
     assert (one["n"], one["dt"], one["start"]) == (4, 2 * DT, 1.0)
     monkeypatch.undo()
     T_WO = episode().T_WO.copy()
@@ -89,7 +89,7 @@ def test_long_and_broken_episodes(monkeypatch: pytest.MonkeyPatch) -> None:
     T_WO[5, 0, 3] = 1e9
     (one,) = packed(T_WO=T_WO)["replays"]
     places = (np.array(one["lo"]) + one["step"] * numbers(one["p"], "<u2", 3)).reshape(STEPS, 17, 3)
-    # Far away is drawn 2 m from the wrist's place (0.5); what follows NaN repeats the last whole step.
+    # A distant object is drawn 2 m from the wrist's first position (0.5); steps with NaN repeat the last finite step.
     assert places[5:, 16, 0] == pytest.approx(2.5, abs=1e-4)
 
 
@@ -134,11 +134,11 @@ def test_the_viewer_sees_what_was_packed(tmp_path: Path) -> None:
     assert np.abs(normals).max(axis=1) == pytest.approx(1.0, abs=1e-5)
     assert ((normals * positions).sum(axis=1) > 0).all()
     assert out["seconds"] == pytest.approx([-2 * DT, 0.0, 5 * DT])
-    # Lost in step 6, the last with a touch before it had landed.
+    # The object is lost in step 6, the last step with a touch before it lands.
     assert out["loss"] == pytest.approx(6.0) and out["held"] is None
-    # What the camera turns about is the picture's middle, and 0.7 m away.
+    # The point that the camera turns about is at the centre of the picture and 0.7 m away.
     assert out["middle"][:2] == pytest.approx([0.0, 0.0], abs=1e-5)
     assert np.linalg.norm(np.array(out["eye"]) - out["target"]) == pytest.approx(0.7, abs=1e-5)
-    # The light (0.28, -0.22, 1) comes down 0.35 m.
+    # The point is 0.35 m above the plane; the light comes from (0.28, -0.22, 1).
     assert out["shadow"][:3] == pytest.approx([0.1 - 0.28 * 0.35, 0.2 + 0.22 * 0.35, 0.25], abs=1e-6)
     assert out["hash"] == {"t": 0.5, "yaw": -30}

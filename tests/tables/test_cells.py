@@ -1,4 +1,4 @@
-"""What a cell of a table counts, and what makes it another one than the paper's."""
+"""What a cell of a table counts, and when it cannot be compared with the paper."""
 
 from __future__ import annotations
 
@@ -22,15 +22,15 @@ def test_seeds_of_a_label_are_one_label() -> None:
     rows = fill_module._over_seeds(seeds)
     assert [row["success"] for row in rows] == [1.0, 0.5, 0.0, 0.0]
     assert rows[0] == {"object": "a", "index": 0, "success": 1.0, "sim_dist_mm_per_step": 1.0}
-    # The same outcomes three times say no more than once.
+    # The same outcomes from three seeds give the same interval as from one.
     one, three = (fill_module._summary(fill_module._over_seeds([seeds[0]] * k),
                                        {"method": "policy", "engine": "e", "window_s": 5.0, "seed": 1, "data": {},
                                         "cost": {}}).intervals["mean_over_objects"]["success"] for k in (1, 3))
     assert one == three
-    # Two motions of one label stay two.
+    # Two motions of one label stay two rows.
     twice: list[Any] = [(0, {"object": "a", "index": 0, "mpe_m": 0.1}), (0, {"object": "a", "index": 0, "mpe_m": 0.3})]
     assert [row["mpe_m"] for row in fill_module._over_seeds([twice, twice])] == [0.1, 0.3]
-    # A label of another evaluation, such as the other split's, is another one, also where a seed lacks the first.
+    # Labels of different evaluations, such as two splits, stay apart even if a seed lacks the first evaluation.
     both: list[Any] = [(k, {"object": "a", "index": 0, "success": k == 0}) for k in (0, 1)]
     assert [row["success"] for row in fill_module._over_seeds([both, both[1:]])] == [1.0, 0.0]
 
@@ -45,7 +45,7 @@ def test_an_evaluation_that_is_narrowed_does_not_compare() -> None:
     assert fill_module._changed(trial, narrowed, False) == [
         "labels.limit_per_object=1", "physics.friction=0.5", "eval.window_s=3.87"
     ]  # fmt: skip
-    # The paper's number is of all objects and labels.
+    # The paper's number covers all objects and labels.
     cells = Cells(plan.lines[0], {"success": 1.0}, {}, 1, comparable=False)
     assert cells_of(plan, cells)[:6] == ["dexycb train", "GT+PD *", "1", "1.00", "", ""]
 

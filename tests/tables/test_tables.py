@@ -1,4 +1,4 @@
-"""The paper's tables: what they take, filled with what is there, trained within a budget, never done twice."""
+"""The paper's tables: definitions, filling from existing runs, training within a budget, no evaluation twice."""
 
 from __future__ import annotations
 
@@ -128,7 +128,7 @@ def test_a_budget_trains_what_is_missing_and_an_interruption_goes_on(
     command = ["--table", "ablation", "--data", str(folder), "--runs", str(tmp_path), "--budget", "10", *SHORT]
     assert run_command("test", command) == 130
     rows = _table("ablation", folder, tmp_path, "--budget", "10")
-    # Two were trained before; the third, of which nothing was saved, and the others now.
+    # Two runs were trained by the first command. The third saved nothing, so the second command trains it and the rest.
     assert began[:2] == ["no_contact_reward_004_sugar_box", "no_goal_space_004_sugar_box"]
     assert sorted(began[2:]) == sorted(
         ["no_feature_layer_004_sugar_box"] * 2 + ["no_wrist_guidance_004_sugar_box", "object_004_sugar_box"]
@@ -137,7 +137,7 @@ def test_a_budget_trains_what_is_missing_and_an_interruption_goes_on(
     note, changed = rows[0]["notes"]
     assert changed.startswith("evaluated with ") and "eval.window_s=0.06" in changed and "labels" not in changed
     assert "no_contact_reward_004_sugar_box: 1 epochs" in note and "env.episode_steps=6" in note
-    # What a row is about is no difference from its training.
+    # The keys that define a row are not reported as differences.
     assert "env.reward" not in note and "labels" not in note
     assert checkpoint.saved(tmp_path / "dexycb_pybullet_seed1" / "object_004_sugar_box")
 
@@ -148,7 +148,7 @@ def test_seeds_are_trained_apart_and_averaged(
     monkeypatch.setattr(plan_module, "ABLATION_OBJECTS", ("004_sugar_box",))
     monkeypatch.setattr(plan_module, "_ABLATIONS", {"ours": ("Ours", ())})
     rows = _table("ablation", folder, tmp_path, "--budget", "10", "--seeds", "3,5")
-    # The one label, with two seeds, is one label.
+    # One label with two seeds counts as one label.
     assert [row["n"] for row in rows] == [1]
     for row in rows:
         assert list(row["seeds"]) == ["3", "5"]
@@ -157,7 +157,7 @@ def test_seeds_are_trained_apart_and_averaged(
     weights = [checkpoint.latest(tmp_path / f"dexycb_pybullet_seed{k}" / "object_004_sugar_box") for k in (3, 5)]
     assert weights[0].read_bytes() != weights[1].read_bytes()
     assert "Ours, contact ratio by seed: 3: " in capsys.readouterr().out
-    # What is not learned is the same for all seeds.
+    # A method without training is evaluated once for all seeds.
     baseline = _table("grasp", folder, tmp_path, "--seeds", "3,5")[0]
     assert (baseline["n"], baseline["seeds"]) == (2, {})
 
@@ -172,12 +172,12 @@ def test_a_table_refuses_what_it_has_no_use_for(
     runs = tmp_path / "t"
     assert run_command("test", ["--table", "grasp", "--data", str(folder), "--runs", str(runs), *words]) == 2
     said = capsys.readouterr().err
-    assert f"leave {words[0]} away" in said and "labels.objects" in said and not runs.exists()
+    assert f"leave out {words[0]}" in said and "labels.objects" in said and not runs.exists()
 
 
 def test_all_that_is_refused_is_named_at_once(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert run_command("test", ["--table", "grasp", "--json", "x.json", "--split", "test", "--data", str(folder)]) == 2
-    assert "leave --split, --json away" in capsys.readouterr().err
+    assert "leave out --split, --json" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("words", [["--budget", "5"], ["--seeds", "1,2"], ["--runs", "x"]])
@@ -200,7 +200,7 @@ def test_a_training_on_other_data_is_neither_evaluated_nor_resumed(
     runs, other = tmp_path / "runs", make_folder(tmp_path / "other")
     with open(other / "hand" / "free_hand.urdf", "a", encoding="utf-8") as stream:
         stream.write("<!-- another hand -->\n")
-    # An end that the budget does not reach: there is always more to train.
+    # The budget never suffices, so there is always more to train.
     endless = "ppo.epochs=1000000"
     (made,) = _table("ablation", folder, runs, "--budget", "0.001", endless)
     assert made["n"] == 1
@@ -227,7 +227,7 @@ def test_data_that_is_not_there_leaves_the_row_without_ours(
     other = make_folder(tmp_path / "other")
     (other / "labels" / "free_train.npz").unlink()
     (row,) = _table("ablation", other, tmp_path / "runs", "--budget", "10")
-    assert row["values"] == {} and "cannot be told" in row["missing"][0] and "no train split" in row["missing"][0]
+    assert row["values"] == {} and "cannot tell whether" in row["missing"][0] and "no train split" in row["missing"][0]
 
 
 def test_a_learned_motion_keeps_the_grasps_that_it_was_built_on(
@@ -247,14 +247,14 @@ def test_a_learned_motion_keeps_the_grasps_that_it_was_built_on(
     assert own.read_bytes() == first.read_bytes()
     assert f"motion.policy={json.dumps(str(own))}" in row["commands"][0]
 
-    # As a training by hand names it: the copy is made when a table next looks.
+    # A run trained with train.py names the original file; the next table makes the copy.
     config = trained / "learned_motion" / "config.yaml"
     config.write_text(config.read_text().replace(str(own), str(first)))
     own.unlink()
     _table("motion", folder, tmp_path, *words)
     assert own.read_bytes() == first.read_bytes()
 
-    # More training of the grasps leaves what the motion was trained on.
+    # Further training of the grasping policy does not change the policy that the motion was trained with.
     assert run_command("train", ["--resume", str(trained / "all_objects"), "ppo.epochs=2"]) == 0
     assert not first.exists()
     shutil.rmtree(trained / "results")
@@ -294,4 +294,4 @@ def test_a_training_as_its_row_asks_for_differs_in_nothing(tmp_path: Path, monke
         write_description(folder, config, {})
         (note,) = trainings.about(chosen[key])
         keys = "labels.objects=['005_tomato_soup_can'], env.grasp_steps=2"
-        assert note.endswith(f"; differs from {said}{keys}; not as this command says: it was trained with {keys}")
+        assert note.endswith(f"; differs from {said}{keys}; differs from this command: it was trained with {keys}")

@@ -46,7 +46,7 @@ def test_many_triangles_become_few_of_nearly_the_same_shape() -> None:
         assert 100 < len(few.faces) <= 500
         radius = np.linalg.norm(few.vertices, axis=1)
         assert radius.min() > 0.045 and radius.max() < 0.0501
-        # Wound outwards still.
+        # The faces are still wound outwards.
         a, b, c = few.vertices[few.faces].transpose(1, 0, 2)
         assert np.einsum("ij,ij->i", np.cross(a, b), c).sum() / 6 == pytest.approx(4 / 3 * np.pi * 0.05**3, rel=0.1)
 
@@ -55,7 +55,7 @@ def test_merging_draws_near_vertices_to_their_mean() -> None:
     mesh = Mesh(np.array([[0.1, 0.1, 0.1], [0.3, 0.1, 0.1], [1.5, 0.1, 0.1], [0.1, 1.5, 0.1]]),
                 np.array([[0, 2, 3], [1, 2, 3], [0, 1, 2]]))
     out = merged(mesh, 1.0)
-    # The first two share a cube; the triangle with both is gone.
+    # The first two vertices share a cube; the triangle with both of them is removed.
     assert np.array(sorted(out.vertices.tolist())) == pytest.approx(
         np.array([[0.1, 1.5, 0.1], [0.2, 0.1, 0.1], [1.5, 0.1, 0.1]])
     )
@@ -105,7 +105,7 @@ def test_the_table_and_the_camera() -> None:
     assert table_tops(record, 0.5, 0.25).tolist() == [0.5] * 3 + [0.25] * (STEPS - 3)
     moved = replace(record, T_WG=standing(np.eye(4), STEPS))
     assert table_tops(moved, 0.5, 0.25).tolist() == [0.5] * STEPS
-    # A motion that begins in the label's pose has no table.
+    # An episode that begins in the label's pose has no table.
     assert table_tops(replace(moved, window_start=0), 0.5, 0.25).tolist() == [0.25] * STEPS
     target, yaw = viewpoint(record)
     # At step 2: 0.65 of the object (0.5, 0, 0.58), 0.35 of the wrist (0.5, 0.1, 0.7), and 5 cm lower.
