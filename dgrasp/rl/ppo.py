@@ -160,7 +160,7 @@ class Ppo:
         return (of_actor.square() + of_critic.square()).sqrt().item()
 
     def _track_returns(self, returns: Tensor) -> None:
-        """Track the mean and variance of the returns: set by the first epoch, then moved slowly towards each later one."""
+        """Track the mean and variance of the returns: the first epoch sets them, later epochs move them slowly."""
         mean, variance = returns.mean(), returns.var()
         if not torch.equal(self.model.return_scale.cpu(), torch.tensor([0.0, 1.0])):
             old_mean, old_std = self.model.return_scale

@@ -27,7 +27,7 @@ from dgrasp.rl.storage import Rollout
 from dgrasp.rl.vec_env import VecEnv
 
 Evaluate = Callable[[Policy], dict[str, Any]]
-"""Deterministic evaluation of a policy. Returns numbers by name, and bytes under "gif" if a GIF was made."""
+"""Evaluates a policy deterministically. Returns numbers by name, such as "success", and bytes under "gif" if any."""
 
 
 class Interrupted(Exception):

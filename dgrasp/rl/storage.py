@@ -50,7 +50,7 @@ def generalised_advantages(
 
 
 class Rollout:
-    """One epoch of T control steps of N environments as tensors on the learner's device."""
+    """One epoch of T control steps of N environments as tensors on the learner's device, float32 except for flags."""
 
     def __init__(self, device: torch.device) -> None:
         self._device = device
