@@ -153,7 +153,7 @@ def test_a_late_worker_is_left_behind_and_comes_back(cluster: str) -> None:
 
 
 def test_more_workers_than_the_cluster_has_cores_are_refused(cluster: str) -> None:
-    with pytest.raises(ConfigError, match=r"pool\.workers: 3 workers take a CPU each, and the Ray cluster has 2"):
+    with pytest.raises(ConfigError, match=r"pool\.workers: 3 workers need one CPU each, but the Ray cluster has 2"):
         make_pool(make_spec(3, [*QUICK, "pool.workers=3"]))
     # One worker per label at most: two of these do not exist.
     make_pool(make_spec(1, [*QUICK, "pool.workers=3"])).close()
