@@ -69,7 +69,7 @@ class RayPool(SizedPool):
         self._trajectories: Trajectories | None = None
         self._lost, self._losses = 0, [0] * self._workers
         self._late: dict[int, Any] = {}
-        """Workers still busy with an epoch that ended without them: the pending answer, and the time since then."""
+        """Workers still busy with an epoch that ended without them: the pending answer, and when it became late."""
         self._told, self._physics = np.zeros(self._workers), 0.0
         self._start = (time.perf_counter(), 0.0)
 
