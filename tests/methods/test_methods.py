@@ -1,4 +1,4 @@
-"""What each method says of itself, and that the rest of the program goes by it."""
+"""The properties that each method declares, and that the rest of the program follows them."""
 
 from __future__ import annotations
 
@@ -150,7 +150,7 @@ def test_only_gt_ik_changes_the_labels(capsys: pytest.CaptureFixture[str]) -> No
 
 
 class Half(PdBaseline):
-    """A method that is made here alone: it takes every second label, holds its fingers and moves objects."""
+    """A method defined only here: it takes every second label, holds its fingers still and moves objects."""
 
     name = "half"
     motion = "may"
