@@ -44,7 +44,7 @@ _LOSSES_IN_A_ROW = 3
 BALANCE_AFTER = (1, 10, 100)
 """Numbers of collections after which costs are compared; grasps cost more as the policy learns to make them."""
 WORTH_MOVING = 0.03
-"""Imbalance that a new division must save, as a fraction of the mean load; dividing anew rebuilds all worlds."""
+"""Imbalance that a new division must save, as a fraction of the mean load; it rebuilds all worlds."""
 
 
 @dataclass
@@ -158,7 +158,7 @@ class ProcessPool(SizedPool):
         return self._trajectories
 
     def _balance(self) -> None:
-        """Divide the environments anew if the measured costs make it worthwhile."""
+        """Divide the environments again if the measured costs make it worthwhile."""
         cost = costs(*self._spent)
         rows = stretches(cost, self._workers)
         if imbalance(cost, self._rows) - imbalance(cost, rows) < WORTH_MOVING:
