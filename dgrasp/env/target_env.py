@@ -28,8 +28,8 @@ class TargetEnv(GraspEnv):
 class FlatEnv(TargetEnv):
     """The baseline Flat-RL: one policy controls wrist and fingers from the first step to the last (supplement, B.4).
 
-    The wrist's bias is that of `env.wrist`. The first six actions move the wrist along and about the axes of W, the frame of psi.
-    `begin_motion` changes only the target.
+    The wrist's bias is that of `env.wrist`. The first six actions move the wrist along and about the axes of W, the
+    frame of psi. `begin_motion` changes only the target.
     """
 
     def _start_control(self) -> Controller:
