@@ -1,9 +1,12 @@
-"""Which labels a hand holds that only closes: `python -m benchmarks.closings data=free labels.split=test`.
+"""Share of labels that a hand holds by closing its fingers, without a policy.
 
-No policy: the fingers' targets are the label's angles and further, towards each other, by so many radians; the thumb's
-share of that is its own. First from the label's pose without a table and with a stiff wrist, as gt_pd has it; then from
-the label's start through the test's own approach, the fingers closing between two control steps. What the first holds
-and the second does not is lost on the way; what neither holds is hardly a grasp.
+Run `python -m benchmarks.closings data=free labels.split=test`.
+
+The fingers' targets are the label's angles plus a given number of radians towards each other; the thumb has its own
+factor on that number. The first table starts in the label's pose without a table and with a stiff wrist, as gt_pd does.
+The second starts from the label's start with the test's own approach; the fingers close between a first and a last
+control step. A label that is held only in the first table is lost during the approach. A label that is held in neither
+is hardly a grasp.
 """
 
 from __future__ import annotations
@@ -22,15 +25,15 @@ from dgrasp.synthesis.trial import outlasts_window
 from dgrasp.types import Array
 
 HELD = [(0.0, 1.0), *((angle, thumb) for angle in (0.1, 0.2, 0.4, 0.8) for thumb in (0.5, 1.0, 2.0))]
-"""rad beyond the label, and the thumb's share of it."""
+"""Angle (rad) beyond the label, and the thumb's factor on it."""
 APPROACHES = [(15, 30, 0.1, 0.5), (25, 45, 0.1, 0.5), (25, 45, 0.2, 0.5), (25, 45, 0.1, 1.0), (25, 45, 0.3, 1.0),
               (35, 50, 0.2, 1.0), (15, 40, 0.4, 1.0)]  # fmt: skip
-"""First and last control step of closing, and the same."""
+"""First and last control step of closing, then angle (rad) and thumb's factor as in `HELD`."""
 _THUMB = FINGERS.index("thumb")
 
 
 def main() -> None:
-    """Print the shares that are held."""
+    """Print the shares of labels that are held."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("overrides", nargs="*", metavar="key=value")
     config = load_config(Path("cfg/fast.yaml"), parser.parse_args().overrides)
@@ -54,7 +57,10 @@ def main() -> None:
 
 
 def closing_directions(env: GraspEnv) -> Array:
-    """(N, 45) at most 1: which way each joint moves its fingertip towards the object and the opposite fingertips."""
+    """(N, 45) in [-1, 1]: how each joint turns to move its fingertip towards the object and the opposite fingertips.
+
+    The largest absolute value of each finger is 1.
+    """
     labels, hand, n = env.labels, env.hand, env.num_envs
     R, t = (np.array([label.T_WH for label in labels])[:, :3, part] for part in (slice(3), 3))
     pose = np.array([label.hand_pose for label in labels])
@@ -77,7 +83,7 @@ def closing_directions(env: GraspEnv) -> Array:
 
 
 def squeeze(inward: Array, angle: float, thumb: float) -> Array:
-    """(N, 45) rad beyond the label."""
+    """(N, 45) rad to add to the label's angles: `angle` along `inward`, times `thumb` for the thumb's joints."""
     beyond = angle * inward
     beyond[:, 9 * _THUMB : 9 * _THUMB + 9] *= thumb
     return beyond
@@ -85,7 +91,7 @@ def squeeze(inward: Array, angle: float, thumb: float) -> Array:
 
 def _hold(env: GraspEnv, beyond: Array) -> Array:
     env.reset(0, "label")
-    # gt_pd gives actions no effect; here they are the fingers' targets.
+    # In gt_pd the actions have no effect; here they offset the fingers' targets.
     env.control.sigma = np.r_[np.zeros(6), np.ones(N_DOF - 6)]
     targets = _fingers_alone(beyond)
     return outlasts_window(env, lambda: targets)

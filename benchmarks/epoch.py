@@ -1,8 +1,8 @@
-"""How fast a training epoch is, and how much of it is physics: `python -m benchmarks.epoch --workers 1,2`.
+"""Speed of a training epoch and its share of physics: `python -m benchmarks.epoch --workers 1,2`.
 
-Each row is the median over epochs as the runner does them (rollout and PPO update), without the first, from rest.
-Physics is the time inside the engine's own step, over the wall time of all workers, update included.
-`pool.kind=ray` beside `pool.kind=process` tells what Ray costs.
+Each row is the median over epochs as the runner makes them (rollout and PPO update), without the first epoch, a
+warm-up. Physics is the time inside the engine's own step divided by the wall time of all workers, update included.
+Compare `pool.kind=ray` with `pool.kind=process` to see the cost of Ray.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ def main() -> None:
     """Print one row per number of workers, and the speed-up over the first."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--workers", default="1,2", metavar="N,N,...", help="numbers of workers to compare")
-    parser.add_argument("--epochs", type=int, default=2, help="epochs per row; the first, from rest, is left out")
+    parser.add_argument("--epochs", type=int, default=2, help="epochs per row; the first, a warm-up, is left out")
     parser.add_argument("overrides", nargs="*", metavar="key=value")
     arguments = parser.parse_intermixed_args()
     base = 0.0

@@ -1,7 +1,7 @@
-"""What a test costs beside its physics: `python -m benchmarks.evaluation data=DIR labels.limit_per_object=2`.
+"""Overhead of a test over its physics: `python -m benchmarks.evaluation data=DIR labels.limit_per_object=2`.
 
-The baseline gt_pd in one process: the share of the time that is spent inside the engine's step, and inside the physics'
-`integrate`, which has the PD controller in it as RaiSim's does.
+Runs the baseline gt_pd in one process. Prints the share of the time inside the engine's step and inside `integrate`,
+which includes the PD controller, as RaiSim's does.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from raisim_like.world import World, integrate
 
 
 class Clock:
-    """Counts the seconds of `integrate`."""
+    """Replaces `integrate` and adds up the wall seconds spent in it."""
 
     seconds = 0.0
 
@@ -39,7 +39,7 @@ def main() -> None:
     choice = resolve(config)
     print(choice.describe())
     clock = Clock()
-    # The batch of worlds calls it by its own name for it.
+    # `LoopBatch` calls `integrate` through the name in its own module.
     loop.integrate = clock  # type: ignore[assignment]
     pool = make_pool(build_spec(choice, config))
     try:

@@ -1,7 +1,7 @@
-"""Does a run survive its workers? `python -m benchmarks.kills --kills 10 --epochs 20 data=DIR`.
+"""Check that a run survives the loss of workers: `python -m benchmarks.kills --kills 10 --epochs 20 data=DIR`.
 
-Trains in this process, kills a random worker with SIGKILL in the middle of random epochs, and says how many updates
-were made and how many environments' experience was lost.
+Trains in this process and kills a random worker with SIGKILL in the middle of random epochs. Prints how many updates
+were made and how many episodes were lost.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from dgrasp.rl.runner import Runner
 
 
 def main() -> None:
-    """Print what was lost."""
+    """Train with the kills and print what was lost."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--kills", type=int, default=10)
     parser.add_argument("--epochs", type=int, default=20)

@@ -1,8 +1,8 @@
-"""What the process pool costs beside the engine: `python -m benchmarks.pool data=DIR engine=mujoco`.
+"""Overhead of the process pool over the engine: `python -m benchmarks.pool data=DIR engine=mujoco`.
 
-One worker and no pool at all collect the same epochs, to the bit, in turns, with an untrained policy. The overhead is
-what the worker's epoch takes longer, over the seconds inside the engine's step; both are the least of all turns, as
-other work on the machine only ever adds.
+A pool of one worker and no pool at all take turns to collect the same epochs, equal to the bit, with an untrained
+policy. The overhead is the extra time of the worker's epoch divided by the seconds inside the engine's step. All times
+are the minimum over turns, because other work on the machine can only add time.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from dgrasp.rl.runner import epoch_generator
 def main() -> None:
     """Print the seconds of an epoch with and without the pool, and the overhead."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--turns", type=int, default=3, help="epochs of each; the first, from rest, is left out")
+    parser.add_argument("--turns", type=int, default=3, help="epochs of each; the first, a warm-up, is left out")
     parser.add_argument("--steps", type=int, default=60, help="control steps of an epoch")
     parser.add_argument("overrides", nargs="*", metavar="key=value", help="config keys; data=DIR for real labels")
     arguments = parser.parse_intermixed_args()

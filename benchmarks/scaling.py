@@ -1,8 +1,8 @@
-"""How far more cores help: `python -m benchmarks.scaling --rate 300 data=DIR`.
+"""Predicted speed of training on 1 to 1,000 cores: `python -m benchmarks.scaling --rate 300 data=DIR`.
 
-Measures what an epoch costs the learner (the PPO update on as many control steps as the labels make) and how many
-bytes a control step sends it, and predicts epochs on 1 to 1,000 cores: the slowest worker's share of the labels at
-`--rate` control steps per second and core, the transfer at `--mbit`, and the update, one after the other.
+Measures the learner's time per epoch (the PPO update on one episode of each label) and the bytes that each control step
+sends to it. The predicted time of an epoch is the sum of three parts: the largest share of labels of a worker at
+`--rate` control steps per second and core, the transfer at `--mbit`, and the update.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ CORES = (1, 2, 8, 32, 100, 376, 1000)
 
 
 def main() -> None:
-    """Print the measured learner and a row per number of cores."""
+    """Print the learner's measured costs and a row per number of cores."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--labels", type=int, default=376, help="environments in an epoch")
     parser.add_argument("--rate", type=float, default=300.0, help="control steps per second of one core")

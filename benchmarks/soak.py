@@ -1,8 +1,8 @@
-"""Does the physics stay sane, and the memory constant? `python -m benchmarks.soak --episodes 1000 data=DIR`.
+"""Stability of physics and memory over a long run: `python -m benchmarks.soak --episodes 1000 data=DIR`.
 
-Random actions with a large spread over all labels: counts simulations that broke, joints that ran at the engine's
-clamp for a second on end, and the largest kinetic energy; then resets of every world again and again, and how much
-memory the process has gained.
+First plays random actions with a large spread on all labels. Prints the number of broken simulations, the number of
+joints that stayed at the engine's velocity clamp for a second, and the largest kinetic energy of an object. Then resets
+all worlds many times and prints the growth of the process's memory.
 """
 
 from __future__ import annotations
@@ -21,17 +21,17 @@ from dgrasp.env.grasp_env import GraspEnv
 from dgrasp.pool.base import PoolSpec
 
 CLAMP = 99.0
-"""rad/s. Joints that are faster run at the engine's clamp of 100."""
+"""rad/s. A faster joint counts as running at the engine's clamp of 100 rad/s."""
 
 
 def resident_mb() -> float:
-    """Memory of this process that is in RAM, MB."""
+    """Resident memory of this process, MB."""
     pages = int(Path("/proc/self/statm").read_text().split()[1])
     return pages * 4096 / 1e6
 
 
 def random_episodes(spec: PoolSpec, config: Config, std: float, episodes: int, batch: int) -> None:
-    """Plays the episodes, `batch` worlds at a time, and prints what happened."""
+    """Play the episodes, `batch` worlds at a time, and print a summary."""
     rng = np.random.default_rng(config.seed)
     second = round(1.0 / config.control_period)
     broken, ran_away, energy, fastest, steps = 0, 0, 0.0, 0.0, 0
@@ -63,13 +63,13 @@ def random_episodes(spec: PoolSpec, config: Config, std: float, episodes: int, b
 
 
 def many_resets(spec: PoolSpec, config: Config, resets: int) -> None:
-    """Places one world per object again and again, replacing one of them now and then; prints the growth."""
+    """Reset one world per object many times, rebuild one of them in each round, and print the growth of memory."""
     first = {label.object_id: label for label in spec.labels}
     env = GraspEnv(list(first.values()), spec.hand, spec.objects, config)
     rounds = -(-resets // env.num_envs)
     warm = before = 0.0
     for k in range(rounds):
-        # A world that is taken down and set up again with its object, as after an explosion.
+        # Destroy a world and build it again with its object, as after an explosion.
         env.worlds.rebuild(k % env.num_envs)
         env.reset(k)
         env.step(np.zeros((env.num_envs, 51)))
@@ -78,7 +78,7 @@ def many_resets(spec: PoolSpec, config: Config, resets: int) -> None:
             warm = before = resident_mb()
     gc.collect()
     print(
-        f"{config.engine}: {rounds * env.num_envs} resets with {rounds} worlds set up anew: "
+        f"{config.engine}: {rounds * env.num_envs} resets with {rounds} worlds rebuilt: "
         f"{resident_mb() - before:+.1f} MB (from {warm:.0f} MB after the first tenth)",
         flush=True,
     )
@@ -86,11 +86,11 @@ def many_resets(spec: PoolSpec, config: Config, resets: int) -> None:
 
 
 def main() -> None:
-    """Print a line per engine and spread of the actions, and one for the memory."""
+    """Print a line per engine and spread of the actions, and a line per engine for the memory."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--engines", default="pybullet,mujoco", metavar="NAME,...")
     parser.add_argument("--episodes", type=int, default=1000)
-    parser.add_argument("--stds", default="1,3", metavar="N,...", help="spreads of the actions (training starts at 1)")
+    parser.add_argument("--stds", default="1,3", metavar="N,...", help="stds of the actions (training starts at 1)")
     parser.add_argument("--resets", type=int, default=2000)
     parser.add_argument("--batch", type=int, default=40, help="worlds at a time")
     parser.add_argument("overrides", nargs="*", metavar="key=value")

@@ -1,9 +1,9 @@
-"""How fast each engine steps each object: `python -m benchmarks.step_rate --policy FILE.pt data=DIR`.
+"""Control steps per second of each engine on each object: `python -m benchmarks.step_rate --policy FILE.pt data=DIR`.
 
-Per engine and object, under the policy, as in a test (the approach, then the hold without a table): control steps
-per second and core, the share of the wall time inside the engine's own step, and the ratio to a bare loop of that
-step. For the bare loop, every tenth control step is made once more under constant torques, and taken back.
-Then the same with several processes at once, each with its share of the labels: the sum of their rates.
+The policy acts as in a test: the approach, then the hold without a table. Each row gives control steps per second and
+core, the share of the wall time inside the engine's own step, and the ratio to the rate of a bare loop of that step.
+For the bare loop, every tenth control step is first made under constant torques, then undone.
+Afterwards several processes run at once, each with its share of the labels; the result is the sum of their rates.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ BARE_EVERY = 10
 
 
 class _Zeros:
-    """No policy: the hand stays where it is."""
+    """Zero actions, used when no policy is given."""
 
     name, mode = "zeros", "test"
 
@@ -66,7 +66,7 @@ HEADER = f"{'object':<24}{'labels':>7}{'steps/s':>10}{'physics':>9}{'bare/s':>10
 
 
 def measure(spec: PoolSpec, method: Method, hold: int, bare: bool) -> Rate:
-    """Times all labels of a specification, stepped together; every tenth step is repeated bare."""
+    """Time all labels of a specification, stepped together. bare: also time the bare loop at every tenth step."""
     grasp, substeps = spec.config.env.grasp_steps, spec.config.physics.substeps
     env = GraspEnv(spec.labels, spec.hand, spec.objects, spec.config)
     rate = Rate(len(spec.labels))
@@ -107,7 +107,7 @@ def _process(
 
 
 def side_by_side(spec: PoolSpec, policy: Path | None, hold: int, processes: int) -> float:
-    """Control steps per second of several processes together, each with every n-th label."""
+    """Total control steps per second of n processes that run at once, each with every n-th label."""
     context = multiprocessing.get_context("spawn")
     start, rates = context.Barrier(processes), context.Queue()
     running = [
@@ -126,7 +126,7 @@ def main() -> None:
     """Print a table per engine."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--engines", default="pybullet,mujoco", metavar="NAME,...")
-    parser.add_argument("--policy", type=Path, metavar="FILE.pt", help="one that the authors published; none: stay")
+    parser.add_argument("--policy", type=Path, metavar="FILE.pt", help="the authors' policy; default: zero actions")
     parser.add_argument("--hold", type=int, default=60, help="control steps without a table")
     parser.add_argument("--processes", default="1,2", metavar="N,...", help="numbers of processes to compare")
     parser.add_argument("overrides", nargs="*", metavar="key=value", help="such as data=DIR labels.limit_per_object=2")

@@ -1,7 +1,8 @@
-"""How long a PPO update takes, and whether a GPU or torch.compile would pay: `python -m benchmarks.update`.
+"""Time of a PPO update on CPU and GPU, with and without torch.compile: `python -m benchmarks.update`.
 
-Each row learns from the same epoch of random experience with the recipe's own numbers and is the least of several
-turns, for other work on the machine only ever adds. The first turn, in which torch.compile compiles, stands apart.
+Each row learns from the same epoch of random experience with the recipe's settings. Times are the minimum over several
+turns, because other work on the machine can only add time. The first turn, in which torch.compile compiles, has its own
+column.
 """
 
 from __future__ import annotations
@@ -24,12 +25,12 @@ ACTIONS = 51
 
 
 def main() -> None:
-    """Print one row per device, as it is and compiled."""
+    """Print one row per device without torch.compile, and one with it."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--cfg", type=Path, default=Path("cfg/fast.yaml"), help="the recipe")
     parser.add_argument("--envs", type=int, default=30, help="environments of an epoch")
     parser.add_argument("--observation", type=int, default=281, help="numbers in an observation")
-    parser.add_argument("--turns", type=int, default=5, help="updates of each row beside the first")
+    parser.add_argument("--turns", type=int, default=5, help="updates of each row after the first")
     parser.add_argument("overrides", nargs="*", metavar="key=value")
     arguments = parser.parse_intermixed_args()
     config = load_config(find_config(arguments.cfg), arguments.overrides)
@@ -53,7 +54,7 @@ def main() -> None:
                 rollout.load(epoch, model)
                 rollout.compute_returns(ppo.gamma, ppo.lam)
                 loaded = time.perf_counter()
-                learner.update(rollout, generator)  # ends with numbers on the CPU, so a GPU is done by then
+                learner.update(rollout, generator)  # returns numbers on the CPU, so a GPU has finished by then
                 loads.append(loaded - start)
                 updates.append(time.perf_counter() - loaded)
             load, update = 1e3 * min(loads[1:]), 1e3 * min(updates[1:])

@@ -44,7 +44,7 @@ def evaluate_choice(
 def evaluate_motion(
     method: Method, config: Config, choice: DataChoice
 ) -> tuple[Result, list[EpisodeRecord], PoolSpec]:
-    """Let a method carry the chosen labels' objects to the targets of `motion.targets`."""
+    """Evaluate a method that carries the chosen labels' objects to the targets of `motion.targets`."""
     check_moves(method)
     targets = choose_targets(config, choice)
     chosen = build_spec(choice, config)
@@ -60,7 +60,7 @@ def _surfaces(bodies: Mapping[str, ObjectBody]) -> dict[str, Body]:
 
 
 class _Progress:
-    """Says how far an evaluation is: on one line of a terminal, else every tenth of the way."""
+    """Prints the progress of an evaluation: on one line of a terminal, otherwise after every tenth of the steps."""
 
     def __init__(self) -> None:
         self._tenth = -1

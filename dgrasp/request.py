@@ -1,4 +1,4 @@
-"""What is tested: from the names of a baseline, a policy and a config to the config, the method and the data."""
+"""Resolve what an evaluation asks for (a baseline, a policy, a config) to the config, the method and the data."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ from dgrasp.rl.run.weights import SUFFIX
 
 PRETRAINED = "pretrained"
 PRETRAINED_FILE = Path("free/policy/all_objects.safetensors")
-"""What the run `pretrained` stands for: the policy that ships, below the shipped data."""
+"""The policy that `--run pretrained` means: the shipped one, relative to the shipped data."""
 
 
 @dataclass(frozen=True)
 class Request:
-    """An evaluation: of a method, with a config, on the chosen labels."""
+    """An evaluation of a method, with a config, on the chosen labels."""
 
     config: Config
     method: Method
@@ -36,11 +36,11 @@ class Request:
 
 @dataclass(frozen=True)
 class Asked:
-    """What an evaluation is asked for by.
+    """The user's specification of an evaluation.
 
-    baseline: a name of `dgrasp.methods.BASELINES`; None tests the policy itself. policy: the file of a policy. run: a
-    training run, whose last checkpoint is taken, or `PRETRAINED`. cfg: a config in place of the run's, the policy's or
-    the paper's. values: config values by dotted key. overrides: `key=value`, laid over the values.
+    baseline: a name in `dgrasp.methods.BASELINES`; None tests the policy itself. policy: the file of a policy. run: a
+    training run, whose last checkpoint is taken, or `PRETRAINED`. cfg: a config that replaces the run's, the policy's
+    or the paper's. values: config values by dotted key. overrides: `key=value` strings, applied after the values.
     """
 
     baseline: str | None = None
@@ -52,21 +52,21 @@ class Asked:
 
     @property
     def given(self) -> bool:
-        """Whether a saved policy is asked for."""
+        """Whether a saved policy is specified."""
         return self.run is not None or self.policy is not None
 
     @property
     def shipped(self) -> bool:
-        """Whether the policy that ships is asked for."""
+        """Whether the shipped policy is specified: `run` is `PRETRAINED` and there is no directory of that name."""
         return self.run is not None and str(self.run) == PRETRAINED and not self.run.exists()
 
     @property
     def run_dir(self) -> Path | None:
-        """The run directory that is asked for."""
+        """The run directory, if one is specified."""
         return None if self.shipped else self.run
 
     def find_policy(self) -> Path | None:
-        """The file of the policy that is asked for; `ConfigError` or `DataError` where it is not there."""
+        """The file of the policy, if one is specified; `ConfigError` or `DataError` if a run has no such file."""
         if self.run_dir is not None:
             return checkpoint.latest(self.run_dir)
         if not self.shipped:
@@ -79,10 +79,11 @@ class Asked:
 
 
 def make_request(asked: Asked) -> Request:
-    """The evaluation that is asked for; a method that always moves objects moves them to the data's usual targets.
+    """The evaluation that `asked` specifies.
 
-    `ConfigError` where no method is named, or two, for a policy that the method cannot take, and for a config of
-    another task, or with other senses, than the policy's.
+    A method that always moves objects gets the data's usual targets if the config names none. `ConfigError` if no
+    method or more than one is named, if the method cannot take the policy, or if the config has another task or other
+    inputs and outputs (`SENSES`) than the policy.
     """
     kind = METHODS[asked.baseline or PolicyMethod.name]
     kind.check_policy(asked.given)
@@ -98,13 +99,13 @@ def make_request(asked: Asked) -> Request:
 
 
 def config_of(asked: Asked, path: Path | None = None, saved: SavedPolicy | None = None) -> Config:
-    """The config that is asked for: `cfg`, or the run's, the policy's or the paper's, with what is laid over it.
+    """The config of an evaluation: `cfg`, or the run's, the policy's or the paper's, with values and overrides applied.
 
-    path, saved: the file of the policy that is tested, and what it holds.
+    path, saved: the file of the tested policy, and its content.
     """
     where, values = _base(asked, path, saved)
     given = [override(key, value) for key, value in asked.values.items()]
-    # A run may train with faster physics; a test has the best there is.
+    # A run may train with faster physics; a test uses the most accurate preset.
     config = make_config(apply_overrides(values, ["physics.preset=faithful", *given, *asked.overrides]), where)
     if path is not None and saved is not None:
         _check_senses(saved, config, path)
@@ -112,14 +113,14 @@ def config_of(asked: Asked, path: Path | None = None, saved: SavedPolicy | None 
 
 
 def _base(asked: Asked, path: Path | None, saved: SavedPolicy | None) -> tuple[str, dict[str, Any]]:
-    """What the overrides are laid over, and where it is from."""
+    """The source of the config, for errors, and its values before any override."""
     cfg = find_config(asked.cfg)
     if cfg is None and asked.run_dir is not None:
         cfg = asked.run_dir / "config.yaml"
         if not cfg.is_file():
             raise ConfigError(f"{asked.run}: not a run directory (no config.yaml); expected one that train.py made")
     if cfg is None and path is not None and saved is not None and saved.config:
-        # The engine that a shared policy was trained on may not be installed here.
+        # The engine with which a shared policy was trained may not be installed here.
         told = ("engine",) if path.suffix == SUFFIX else ()
         return str(path), {key: value for key, value in saved.config.items() if key not in told}
     cfg = cfg or find_config(Path("cfg/dexycb.yaml"))
@@ -128,10 +129,10 @@ def _base(asked: Asked, path: Path | None, saved: SavedPolicy | None) -> tuple[s
 
 
 def _check_senses(saved: SavedPolicy, config: Config, path: Path) -> None:
-    """A policy must see and move what it did in training; other features may have the same number of entries."""
+    """`ConfigError` if inputs or outputs differ from those in training, which array sizes alone would not reveal."""
     trained = make_config({"env": saved.env}, str(path)).env
     differ = [key for key in SENSES if getattr(trained, key) != getattr(config.env, key)]
     if differ:
         own = ", ".join(f"env.{key}={getattr(trained, key)}" for key in differ)
-        raise ConfigError(f"{path} was trained with {own}, and the config says otherwise; leave --cfg and these keys "
-                          "away: a policy brings its own")
+        raise ConfigError(f"{path} was trained with {own}, but the config has other values; leave out --cfg and these "
+                          "keys: a policy comes with its own")

@@ -1,4 +1,4 @@
-"""Train a policy in a run directory: begin a run, resume one, and evaluate the policy on the way."""
+"""Train a policy in a run directory: begin a run, resume one, and evaluate the policy during training."""
 
 from __future__ import annotations
 
@@ -35,9 +35,9 @@ from dgrasp.view.meshes import scene_meshes
 
 
 def begin(config: Config, run_dir: Path | None = None) -> Path:
-    """Train a new run to its last epoch; returns its directory.
+    """Train a new run to its last epoch and return its directory.
 
-    run_dir: None takes the next that is free of runs/NAME_K. `ConfigError` for a directory that holds something.
+    run_dir: None takes the next free runs/NAME_K. `ConfigError` for a directory that is not empty.
     """
     if run_dir is not None and run_dir.exists() and (not run_dir.is_dir() or any(run_dir.iterdir())):
         raise _exists(run_dir)
@@ -50,10 +50,10 @@ def begin(config: Config, run_dir: Path | None = None) -> Path:
 
 
 def resume(run_dir: Path, overrides: Sequence[str] = ()) -> None:
-    """Continue a run from its last checkpoint, with `key=value` overrides laid over its config.
+    """Continue a run from its last checkpoint, with `key=value` overrides applied to its config.
 
-    A run that was stopped before its first checkpoint begins anew. `ConfigError` for a directory that is not a run, and
-    for a run whose checkpoints are lost.
+    A run that was stopped before its first checkpoint starts from the beginning. `ConfigError` for a directory that is
+    not a run, and for a run whose checkpoints are missing.
     """
     file = run_dir / "config.yaml"
     if not file.is_file():
@@ -63,13 +63,13 @@ def resume(run_dir: Path, overrides: Sequence[str] = ()) -> None:
     there_is_one = bool(checkpoint.saved(run_dir))
     if not there_is_one:
         _refuse_lost_checkpoints(run_dir)
-        print(f"{run_dir} was stopped before its first checkpoint, so it begins anew", flush=True)
+        print(f"{run_dir} was stopped before its first checkpoint, so it starts from the beginning", flush=True)
     train(run_dir, config, choice, there_is_one)
     _say_done(run_dir)
 
 
 def _checked_data(config: Config) -> DataChoice:
-    """The data of a training, once it is clear that its policies can be built; says what was found."""
+    """The data of a training; prints what was found. First checks that a frozen policy, if needed, can be loaded."""
     frozen_policy(config)
     choice = resolve(config)
     print(choice.describe(), flush=True)
@@ -81,11 +81,11 @@ def _say_done(run_dir: Path) -> None:
 
 
 def _refuse_lost_checkpoints(run_dir: Path) -> None:
-    """A run without checkpoints begins anew, but not where there must have been some: what is left would be lost."""
+    """`ConfigError` if a run without checkpoints must have had some: starting again would overwrite what is left."""
     made = read_run(run_dir)
     epochs = made.number("epoch")
     if epochs >= min(made.config.checkpoint.every, made.epochs):
-        raise ConfigError(f"{run_dir}: its checkpoints are gone, after {epochs:.0f} epochs; put them back, test "
+        raise ConfigError(f"{run_dir}: its checkpoints are missing after {epochs:.0f} epochs; put them back, test "
                           f"{checkpoint.BEST} with --policy, or begin another run with --run")
 
 
@@ -94,7 +94,7 @@ def _exists(run_dir: Path) -> ConfigError:
 
 
 def next_run(name: str) -> Path:
-    """Makes runs/NAME_K with the first K that is free: of runs that begin together each has its own."""
+    """Make and return runs/NAME_K with the first free K. Runs that begin at the same time get different directories."""
     for k in itertools.count(1):
         run_dir = Path("runs") / f"{name}_{k}"
         try:
@@ -102,7 +102,7 @@ def next_run(name: str) -> Path:
             return run_dir
         except FileExistsError:
             if not Path("runs").is_dir():
-                raise DataError("runs: not a folder, so that no run can be put there; choose another --run") from None
+                raise DataError("runs: not a folder, so no run can be created in it; choose another --run") from None
         except OSError as error:
             raise _not_made(run_dir, error) from None
     raise AssertionError
@@ -115,7 +115,7 @@ def _not_made(run_dir: Path, error: OSError) -> DataError:
 def start_run(run_dir: Path, config: Config, choice: DataChoice, new: bool = False) -> None:
     """Make the run directory with its config and its data stamp.
 
-    `ConfigError` where another process trains, or, with `new`, has begun to.
+    `ConfigError` if another process is training there or, with `new`, if the directory already holds a run.
     """
     try:
         run_dir.mkdir(parents=True, exist_ok=True)
@@ -129,7 +129,7 @@ def start_run(run_dir: Path, config: Config, choice: DataChoice, new: bool = Fal
 
 def train(run_dir: Path, config: Config, choice: DataChoice, resume: bool = False) -> None:
     """Train in `run_dir` to the config's last epoch."""
-    # The workers use all cores; the update, which they wait for, may have more than one (`ppo.threads`).
+    # The workers use all cores. They wait during the update, which may use several threads (`ppo.threads`).
     torch.set_num_threads(1)
     spec = build_spec(choice, config)
     moves = TRAINED[config.env.task].motion == "always"
@@ -145,7 +145,7 @@ def train(run_dir: Path, config: Config, choice: DataChoice, resume: bool = Fals
 
 
 def periodic_evaluation(pool: Pool, spec: PoolSpec, choice: DataChoice) -> Callable[[Policy], dict[str, Any]]:
-    """Deterministic evaluation on the pool's labels, with a GIF of one grasp that walks through the labels."""
+    """Deterministic evaluation on the pool's labels, with a GIF of one grasp, each time of another label."""
     count = 0
 
     def run(policy: Policy) -> dict[str, Any]:
@@ -166,14 +166,14 @@ def periodic_evaluation(pool: Pool, spec: PoolSpec, choice: DataChoice) -> Calla
 
 
 def only_stable(spec: PoolSpec) -> PoolSpec:
-    """The labels whose grasps by `motion.policy` are stable; the paper trains on no others (supplement, B.5)."""
+    """Keep only the labels for which `motion.policy` makes stable grasps, as the paper does (supplement, B.5)."""
     stable, _, _ = stable_grasps(*frozen_grasp(spec))
-    print(f"{int(stable.sum())} of {len(stable)} grasps of motion.policy are stable, and are trained on", flush=True)
+    print(f"{int(stable.sum())} of {len(stable)} grasps of motion.policy are stable and used for training", flush=True)
     return replace(spec, labels=[label for label, ok in zip(spec.labels, stable, strict=True) if ok])
 
 
 def periodic_motion(pool: Pool, spec: PoolSpec, choice: DataChoice) -> Callable[[Policy], dict[str, Any]]:
-    """The same for the tasks with a target: each of the pool's labels goes to one target of `motion.targets`."""
+    """As `periodic_evaluation`, for tasks with a target: each object moves to one target of `motion.targets`."""
     config = spec.config
     named = config.motion.model_copy(update={"targets": config.motion.targets or usual_set(choice)})
     targets = choose_targets(config.model_copy(update={"motion": named}), choice)
@@ -189,7 +189,7 @@ def periodic_motion(pool: Pool, spec: PoolSpec, choice: DataChoice) -> Callable[
         rows = [motion_row(record, int(target), False) for record, target in zip(records, which, strict=True)]
         values: dict[str, Any] = {"carried": float(np.mean([row["carried"] for row in rows]))}
         for name in ("mpe_m", "geodesic_rad"):
-            # An episode that broke before its motion has neither.
+            # An episode that broke before its motion has neither of the two.
             measured = [row[name] for row in rows if name in row]
             values |= {name: float(np.mean(measured))} if measured else {}
         values |= _gif(records, count, spec)
@@ -200,7 +200,7 @@ def periodic_motion(pool: Pool, spec: PoolSpec, choice: DataChoice) -> Callable[
 
 
 def _gif(records: Sequence[EpisodeRecord], count: int, spec: PoolSpec) -> dict[str, bytes]:
-    """A GIF of one of the episodes that lasted a step at least, another one for each count, under "gif"."""
+    """A GIF, under "gif", of one episode with at least one step; `count` selects the episode. Empty without a GIF."""
     config, shown = spec.config, [record for record in records if len(record.gc)]
     if not config.eval.gif or not shown:
         return {}

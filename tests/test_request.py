@@ -97,7 +97,7 @@ def test_what_does_not_go_together_is_refused_before_a_file_is_read(tmp_path: Pa
     for asked in (Asked(), Asked("gt_pd", policy=nowhere), Asked("gt_ik", run=tmp_path / "none")):
         with pytest.raises(ConfigError, match="what to test: expected one of --baseline, --run and --policy"):
             make_request(asked)
-    with pytest.raises(ConfigError, match="flat_rl is a policy of its own"):
+    with pytest.raises(ConfigError, match="flat_rl needs a policy trained for it"):
         make_request(Asked("flat_rl"))
     with pytest.raises(DataError, match=re.escape(str(nowhere))):
         make_request(Asked(policy=nowhere))
@@ -105,7 +105,7 @@ def test_what_does_not_go_together_is_refused_before_a_file_is_read(tmp_path: Pa
     with pytest.raises(ConfigError, match=f"^{re.escape(str(tmp_path / 'run'))}: not a policy of flat_rl but one of "
                                           "task grasp"):
         make_request(Asked("flat_rl", run=tmp_path / "run"))
-    with pytest.raises(ConfigError, match=r"policy is of task grasp, and the config of env\.task=flat"):
+    with pytest.raises(ConfigError, match=r"policy is for task grasp, but the config has env\.task=flat"):
         make_request(Asked(policy=file, cfg=Path("cfg/flat_rl.yaml"), overrides=SHORT))
 
 

@@ -46,11 +46,11 @@ def test_a_run_that_was_stopped_before_its_first_checkpoint_begins_anew(
     config = load_config(None, [f"data={folder}", *SHORT])
     start_run(tmp_path / "run", config, resolve(config), new=True)
     resume(tmp_path / "run")
-    assert "stopped before its first checkpoint, so it begins anew" in capsys.readouterr().out
+    assert "stopped before its first checkpoint, so it starts from the beginning" in capsys.readouterr().out
     assert checkpoint.latest(tmp_path / "run").stem == "000001"
     for file in checkpoint.saved(tmp_path / "run"):
         file.unlink()
-    with pytest.raises(ConfigError, match="its checkpoints are gone, after 1 epochs"):
+    with pytest.raises(ConfigError, match="its checkpoints are missing after 1 epochs"):
         resume(tmp_path / "run")
 
 

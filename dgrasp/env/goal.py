@@ -1,4 +1,4 @@
-"""Labels to goals: everything in the object's frame, once per label (supplement, A.1)."""
+"""Convert labels to goals in the object's frame, once per label (supplement, A.1)."""
 
 from __future__ import annotations
 

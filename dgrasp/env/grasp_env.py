@@ -28,13 +28,13 @@ from dgrasp.scene.worlds import Worlds
 from dgrasp.types import Array, GraspGoal, GraspLabel, SceneState, StartPose
 
 Mode = Literal["train", "test", "label"]
-"""train: noisy start, table stays, ended episodes restart. test: exact start, nothing restarts.
-label: hand and object in the label's pose, no table (the baselines' start)."""
+"""train: noisy start, the table stays, ended episodes restart. test: exact start, no episode restarts.
+label: hand and object start in the label's pose without a table (for the baselines)."""
 
 
 @dataclass(frozen=True)
 class Seen:
-    """Some environments after a step: their rows (a slice: all), and what observation and reward are made of."""
+    """The inputs of observation and reward for some environments after a step. rows: their rows; a slice means all."""
 
     rows: Array | slice
     state: SceneState
@@ -46,9 +46,9 @@ class Seen:
 class GraspEnv:
     """N environments, one label each, stepped together.
 
-    `indices` are the places of the labels in the whole set: they seed the environments, so that an
-    environment's noise does not depend on how the set is divided over processes. `total` is the size of that set.
-    `grasp` is the frozen grasping policy of a task that has one.
+    indices: the places of the labels in the whole set. They seed the environments, so an environment's noise does not
+    depend on how the set is divided over processes. total: the size of the whole set. events: messages for the user.
+    grasp: the frozen grasping policy of a task that has one.
     """
 
     labels: Sequence[GraspLabel]
@@ -80,13 +80,13 @@ class GraspEnv:
         self._limits = self.hand.limits.T.copy()
         self._rng: dict[int, np.random.Generator] = {}
         self.mode: Mode = "train"
-        self.restarts = True  # Whether a training episode that has ended begins anew in the same step.
+        self.restarts = True  # Whether a training episode that has ended restarts in the same step.
         self.control = self._start_control()
         self.hold = TrainingHold(env, layout, self.s, n)
         self.alive = np.ones(n, bool)
         self.active = np.ones(n, bool)
-        """Environments that are simulated: those that take part in this epoch (`labels.per_epoch`) and were not told
-        to `rest`. The others stay as they are."""
+        """Environments that are simulated: those that take part in this epoch (`labels.per_epoch`) and have not been
+        stopped by `rest`. The others do not change."""
         self._rows: Array | slice = slice(None)
         self._path: Array | None = None
         self._path_step = 0
@@ -94,7 +94,7 @@ class GraspEnv:
         self.episode_steps = self.config.episode_steps(1)
         """Control steps of an episode in this epoch."""
         self.steps_made = np.zeros(n, int)
-        """Control steps of each environment since it was made."""
+        """Control steps of each environment since its construction."""
 
     def _start_control(self) -> Controller:
         """The controller that an episode begins with."""
@@ -113,18 +113,18 @@ class GraspEnv:
 
     @property
     def seconds_per_env(self) -> Array:
-        """(N,) the same for each environment."""
+        """(N,) wall seconds spent inside the engine's step so far, by environment."""
         return self.worlds.seconds
 
     # Reset -------------------------------------------------------------------------------------
 
     def reset(self, epoch: int = 0, mode: Mode = "train") -> Array:
-        """Start all episodes; the noise depends on (config.seed, epoch, environment). Returns (N, O)."""
+        """Start all episodes and return the observations (N, O); the noise depends on (seed, epoch, environment)."""
         self.mode, self.episode_steps = mode, self.config.episode_steps(epoch)
         count = self.config.labels.in_epoch(epoch, self.total) if mode == "train" else self.total
         self.active[:] = taking_part(self.config.seed, epoch, count, self.indices, self.total)
         acting = np.flatnonzero(self.active).tolist()
-        # All of them need no copies.
+        # A slice avoids copies when all environments are active.
         self._rows = slice(None) if len(acting) == self.num_envs else np.array(acting, dtype=int)
         self._rng = {i: np.random.default_rng([self.config.seed, epoch, self.indices[i]]) for i in acting}
         self.control = self._start_control()
@@ -135,9 +135,9 @@ class GraspEnv:
         self.alive[self._rows] = True
         self._path = None
         self.worlds.derive(self._rows)
-        # What the PD target is before the first action: a hand that is to hold its fingers may begin with it.
+        # The PD target before the first action. `begin_motion` may hold the fingers at it if no step comes before.
         self.control.bias(self.s, self.goal, self._target)
-        # Who rests shows and earns nothing.
+        # Environments that do not take part report zeros.
         for rests in (self.o.observation, self.o.reward, self.o.reward_terms):
             rests[~self.active] = 0.0
         self._observe(self._rows)
@@ -165,7 +165,7 @@ class GraspEnv:
     # Step --------------------------------------------------------------------------------------
 
     def step(self, actions: Array) -> Step:
-        """One control step with residual actions (N, A)."""
+        """Make one control step with residual actions (N, A)."""
         self._aim()
         self._aim_joints(actions)
         np.clip(self._target, self._limits[0], self._limits[1], out=self._target)
@@ -174,14 +174,14 @@ class GraspEnv:
         self.steps_made += self.alive & self.active
         broken = self.worlds.exploded() & self.alive & self.active
         if broken.any():
-            # The last sound observation of these episodes is the one before this step.
+            # The last valid observation of these episodes is the one before this step.
             self.o.final_observation[broken] = self.o.observation[broken]
             self._bury(np.flatnonzero(broken))
         self.worlds.derive(self._rows)
         np.divide(self.clock, self.episode_steps, out=self.s.episode_time)
         dropped = self.hold.judge(self.s) if self._training_hold else np.zeros(self.num_envs, bool)
         self._pay(self._observe(self._rows))
-        # A broken episode ends with nothing gained, and is already placed anew.
+        # A broken episode earns nothing in its last step; its environment has already been placed at a start.
         self.o.reward[broken], self.o.reward_terms[broken] = 0.0, 0.0
         self.o.broken[:] = self.o.terminated[:] = broken
         self.o.truncated[:] = False
@@ -195,7 +195,7 @@ class GraspEnv:
         return self.o
 
     def _aim_joints(self, actions: Array) -> None:
-        """Write the PD targets of this step: the controller's bias and the residual actions."""
+        """Write the PD targets of this step: the controller's bias plus the scaled residual actions."""
         if self._training_hold:
             for i in self.hold.begin(self.s, self.clock, self.active).tolist():
                 self.worlds.release(i, self.hold.control.kp_position)
@@ -220,30 +220,31 @@ class GraspEnv:
         return self.mode == "train" and self.hold.exists
 
     def rest(self, which: Array) -> None:
-        """Stop simulating some environments (N,) bool until the next reset; they stay as they are."""
+        """Stop simulating the environments where `which` (N,) bool is true; they do not change until the next reset."""
         self.active &= ~which
 
     def remove_table(self) -> None:
-        """Take the table away and hold the wrist where it is: the stability test begins."""
+        """Begin the stability test: take the table away and hold the wrist where it is."""
         self.control = WristHold(self.config.env.action, self.hand.layout, self.s)
         self.s.table_gone[:] = 1.0
         for i in range(self.num_envs):
             self.worlds.release(i, self.control.kp_position)
 
     def begin_motion(self, path: Array, fingers: Fingers = "policy") -> None:
-        """Motion synthesis begins: the wrist carries the objects along the path (N, P, 4, 4) of their T_WG.
+        """Begin motion synthesis: the wrist carries the objects along the path (N, P, 4, 4) of targets T_WG.
 
-        Pose k is the target of control step k from now; the last one stays. The table stays as it is. fingers: "policy"
-        moves them; "target" keeps their PD targets, "pose" makes where they are their targets.
+        Pose k is the target of control step k from now; the last pose remains the target afterwards. The table does not
+        change. fingers: "policy" lets the policy move them; "target" holds their last PD targets; "pose" holds their
+        present pose.
         """
         self._path, self._path_step = path, 0
         self.s.R_WG[:], self.s.target_pos_W[:] = path[:, 0, :3, :3], path[:, 0, :3, 3]
         self._begin_motion_control(fingers)
-        # Who chose the action of the next step must have seen its target.
+        # The policy must see the target before it chooses the next action.
         self._observe(self._rows)
 
     def _begin_motion_control(self, fingers: Fingers) -> None:
-        """Give the wrist to motion synthesis."""
+        """Switch the wrist to the controller of motion synthesis."""
         held = None
         if fingers != "policy":
             held = np.clip(self._target if fingers == "target" else self.s.gc, *self._limits)[:, N_WRIST:]
@@ -260,12 +261,12 @@ class GraspEnv:
             self._path_step += 1
 
     def _advance(self) -> None:
-        """The physics of one control step, for the worlds that have not exploded."""
+        """Simulate one control step in the active worlds that have not exploded."""
         rows = np.flatnonzero(self.alive & self.active).tolist()
         self.worlds.advance(rows, self._target, watch_table=self.mode != "train")
 
     def _observe(self, rows: Array | slice) -> Seen:
-        """Write the observations of some environments; what they were made of."""
+        """Write the observations of some environments; return the inputs that they were computed from."""
         if isinstance(rows, slice):
             seen = Seen(rows, self.s, self.goal, relations(self.s, self.goal, self.config.env.wrist_error))
             self.layer(self.s, self.goal, seen.relations, self.o.observation)
@@ -280,7 +281,11 @@ class GraspEnv:
     # Ends --------------------------------------------------------------------------------------
 
     def _bury(self, ids: Array) -> None:
-        """Report broken episodes and place them anew, before anything is computed from what broke."""
+        """Report broken episodes, then rebuild their worlds and place them at a start.
+
+        This comes before features and rewards are computed, which must not see the broken state. Outside training these
+        environments are not simulated further.
+        """
         for i in ids.tolist():
             label = self.labels[i]
             self.events.append(
@@ -292,7 +297,7 @@ class GraspEnv:
             self.alive[i] = self.mode == "train"
 
     def _restart(self, ids: Array) -> None:
-        """Same-step autoreset of ended episodes; `final_observation` keeps how they ended."""
+        """Restart ended episodes in the same step; `final_observation` keeps their last observation."""
         self.o.final_observation[ids] = self.o.observation[ids]
         for i in ids:
             self._place(i)

@@ -1,5 +1,7 @@
-"""The reward as a sum of named terms: of grasping (paper, section 3.2.2; docs/deviations.md for the differences), and
-of the way to a target (supplement, A.2)."""
+"""The reward as a sum of named terms, for grasping (paper, section 3.2.2) and for motion to a target (supplement, A.2).
+
+docs/deviations.md lists the differences from the paper.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +18,7 @@ from dgrasp.types import Array, GraspGoal, SceneState
 
 @dataclass(frozen=True, eq=False)
 class Parameters:
-    """What the terms need beside the state: their settings, and (K,) weights w_x,j of the key points."""
+    """Parameters of the terms: their settings, and the weights w_x,j of the key points, (K,)."""
 
     config: RewardConfig
     keypoint_weights: Array
@@ -26,21 +28,24 @@ Term = Callable[[SceneState, GraspGoal, Relations, Parameters], Array]
 
 
 def keypoint_weights(config: RewardConfig, hand: HandLayout) -> Array:
-    """(K,) w_x,j: fingertips count `tip_weight` times, mean 1."""
+    """(K,) w_x,j: fingertips have `tip_weight` times the weight of other key points; the mean is 1."""
     weights = np.ones(hand.n_keypoints)
     weights[list(hand.tips)] = config.tip_weight
     return weights / weights.mean()
 
 
 def position_reward(s: SceneState, g: GraspGoal, r: Relations, p: Parameters) -> Array:
-    """r_x = -sum_j |w_j x_j|^2 (equation 5; the paper writes w_j |x_j|^2), m^2, floored."""
+    """r_x = -sum_j |w_j x_j|^2, m^2, at least `position_floor` (equation 5).
+
+    The paper writes w_j |x_j|^2, which `squared_weights=false` gives.
+    """
     w, c = p.keypoint_weights, p.config
     squares = np.sum(r.joint_position_error_H**2, axis=2)
     return np.maximum(-np.sum((w**2 if c.squared_weights else w) * squares, axis=1), c.position_floor)
 
 
 def pose_reward(s: SceneState, g: GraspGoal, r: Relations, p: Parameters) -> Array:
-    """r_q = -|g_q| (equation 6), rad, floored."""
+    """r_q = -|g_q|, rad, at least `position_floor` (equation 6)."""
     return np.maximum(-np.sqrt(np.sum(r.pose_error**2, axis=1)), p.config.position_floor)
 
 
@@ -51,7 +56,7 @@ def contact_reward(s: SceneState, g: GraspGoal, r: Relations, p: Parameters) -> 
 
 
 def impulse_reward(s: SceneState, g: GraspGoal, r: Relations, p: Parameters) -> Array:
-    """Impulse on goal parts, capped by lambda m_o (equation 7, second part), N s per substep."""
+    """Impulse on goal parts, N s per substep, capped at lambda m_o (equation 7, second part)."""
     impulse = np.sum(g.goal_contacts * s.contact_impulse, axis=1)
     return np.minimum(impulse, p.config.impulse_per_mass * s.object_mass)
 
@@ -77,7 +82,7 @@ def wrist_angvel_penalty(s: SceneState, g: GraspGoal, r: Relations, p: Parameter
 
 
 def hold_reward(s: SceneState, g: GraspGoal, r: Relations, p: Parameters) -> Array:
-    """1 for every step that the object is held without a table (not in the paper; `env.hold`)."""
+    """1 for every step in which the hand holds the object without a table (`env.hold`; not in the paper)."""
     return s.holding
 
 
@@ -104,15 +109,15 @@ TERMS: dict[str, Term] = {
     "target_position": target_position_error,
     "target_rotation": target_rotation_error,
 }
-"""Every term, by the name of its weight in `RewardConfig`."""
+"""All terms, by the name of their weight in `RewardConfig`."""
 
 
 MOTION_TERMS = ("target_position", "target_rotation")
-"""r_m: all that the task "motion" is paid for, and what "flat" is paid for beside grasping."""
+"""r_m: the only terms of the task "motion"; the task "flat" adds them to those of grasping."""
 
 
 class Reward:
-    """Weighs, sums and reports the terms of a task (`env.task`) whose weight is not zero."""
+    """Weights, sums and reports the terms of a task (`env.task`) whose weight is not zero."""
 
     def __init__(self, config: RewardConfig, hand: HandLayout, task: str = "grasp") -> None:
         self.config = config
@@ -122,7 +127,7 @@ class Reward:
         self._weights = np.array([getattr(config, name) for name in self.names])
 
     def __call__(self, state: SceneState, goal: GraspGoal, r: Relations, terms: Array, total: Array) -> None:
-        """Writes the weighted terms (N, len(names)) and their sum (N,)."""
+        """Write the weighted terms (N, len(names)) and their sum (N,), which is at least `clip` if that is set."""
         for i, name in enumerate(self.names):
             terms[:, i] = self._weights[i] * TERMS[name](state, goal, r, self._parameters)
         summed = terms.sum(axis=1, dtype=np.float64)

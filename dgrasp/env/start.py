@@ -1,4 +1,4 @@
-"""Where an episode begins, also for labels that are one static grasp without an approach; and whether it does."""
+"""The start of an episode, also for labels without an approach, and the labels that take part in an epoch."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from dgrasp.types import Array, GraspLabel, StartPose
 from raisim_like.rotations import matrix_from_euler
 
 APPROACH_DISTANCE = 0.10
-"""m that the wrist is drawn back from its goal, away from the object (supplement B.5: "a predefined distance")."""
+"""Distance (m) of the wrist's start from its goal, away from the object (supplement B.5: "a predefined distance")."""
 GOLDEN = 0.6180339887498949
-"""Steps of this share of a circle visit all of it evenly."""
+"""The golden ratio minus 1: steps of this fraction of a circle cover it evenly."""
 
 
 def start_pose(label: GraspLabel, hand: HandModel) -> StartPose:
-    """The label's own start, or the wrist drawn back from the object with a hand at rest."""
+    """The label's own start, or a hand at rest with its wrist `APPROACH_DISTANCE` back from the goal."""
     if label.start is not None:
         return label.start
     away = label.T_WH[:3, 3] - label.T_WO[:3, 3]
@@ -30,7 +30,7 @@ def start_pose(label: GraspLabel, hand: HandModel) -> StartPose:
 
 
 def with_noise(start: StartPose, noise: NoiseConfig, rng: np.random.Generator) -> StartPose:
-    """The start with the hand somewhat elsewhere, its angles somewhat others; the object stays."""
+    """The start with uniform noise on the wrist's pose and the finger angles; the object does not move."""
     T = start.T_WH.copy()
     half = np.array([noise.wrist_xy, noise.wrist_xy, noise.wrist_z])
     T[:3, 3] += rng.uniform(-half, half)
@@ -40,14 +40,15 @@ def with_noise(start: StartPose, noise: NoiseConfig, rng: np.random.Generator) -
 
 
 def taking_part(seed: int, epoch: int, count: int, indices: Sequence[int], total: int) -> Array:
-    """(N,) bool: which of the labels at `indices` of a set of `total` take part in an epoch of `count`.
+    """(N,) bool: which of the labels at `indices` of a set of `total` take part in an epoch of `count` labels.
 
-    Every k-th label of the whole set from a start that walks through all, the same draw in every process: labels of an
-    object stand side by side, so that each epoch has its share of every object, and all labels take part equally often.
+    Takes labels at equal spacing from a start that moves through the whole set from epoch to epoch, the same in every
+    process. Labels of one object are adjacent in the set, so every epoch contains each object in proportion. All labels
+    take part equally often.
     """
     if count >= total:
         return np.ones(len(indices), bool)
-    # The spawn key keeps it apart from the environments' own streams.
+    # The spawn key separates this stream from those of the environments.
     first = np.random.default_rng(np.random.SeedSequence([seed], spawn_key=(3,))).random()
     start = (first + epoch * GOLDEN) % 1.0
     return np.isin(indices, ((np.arange(count) + start) * (total / count)).astype(int))

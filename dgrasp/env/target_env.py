@@ -1,4 +1,4 @@
-"""The tasks that lead the object to a target: one policy of everything, or one of the wrist on a frozen grasp."""
+"""The tasks that move the object to a target: one policy for the whole hand, or one for the wrist of a frozen grasp."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from dgrasp.types import Array
 
 
 class TargetEnv(GraspEnv):
-    """A `GraspEnv` whose training episodes have a target each, drawn from (seed, epoch, environment)."""
+    """A `GraspEnv` that draws a target for each training episode from (seed, epoch, environment)."""
 
     def _place(self, i: int) -> None:
         super()._place(i)
@@ -26,10 +26,10 @@ class TargetEnv(GraspEnv):
 
 
 class FlatEnv(TargetEnv):
-    """The baseline Flat-RL: one policy has wrist and fingers from the first step to the last (supplement, B.4).
+    """The baseline Flat-RL: one policy controls wrist and fingers from the first step to the last (supplement, B.4).
 
-    Its wrist has the bias of `env.wrist`, and moves along and about the world's axes as psi's does. A motion that
-    begins changes the target and nothing else.
+    The wrist's bias is that of `env.wrist`. The first six actions move the wrist along and about the axes of W, the
+    frame of psi. `begin_motion` changes only the target.
     """
 
     def _start_control(self) -> Controller:
@@ -41,16 +41,16 @@ class FlatEnv(TargetEnv):
             move_wrist(self._target, self.s, actions[:, :N_WRIST], self.config.motion, slice(None))
 
     def _begin_motion_control(self, fingers: Fingers) -> None:
-        """The policy has it already."""
+        """Do nothing, because the policy already controls the wrist."""
 
 
 class MotionEnv(TargetEnv):
-    """The baseline "learned policy": actions (N, 6) move the wrist, while a frozen policy grasps (supplement, A.2).
+    """The baseline "learned policy": actions (N, 6) move the wrist while a frozen policy grasps (supplement, A.2).
 
-    An episode begins with the grasp, `env.grasp_steps` control steps of the frozen policy alone. In training a reset
-    makes them, so that they are no part of what is learned from. (An episode that the simulation broke begins anew in
-    the middle of an epoch; there the actions have no effect, and earn nothing, until the grasp is made.) In a test
-    nothing moves before `begin_motion`.
+    An episode begins with the grasp: `env.grasp_steps` control steps of the frozen policy alone. In training, the reset
+    makes these steps, so the learner does not see them. An episode that restarts within an epoch, for example because
+    the simulation broke, makes them in the epoch; until then its actions have no effect and its reward is 0. In a
+    test, the actions have no effect before `begin_motion`.
     """
 
     def __post_init__(self) -> None:
@@ -58,10 +58,10 @@ class MotionEnv(TargetEnv):
         env = self.config.env.model_copy(update={"task": "grasp", "critic_features": False})
         self._grasp_layer = FeatureLayer(env, self.hand.layout)
         self._moving = np.zeros(self.num_envs, bool)
-        """Environments whose wrist the actions move."""
+        """Environments in which the actions move the wrist."""
 
     def reset(self, epoch: int = 0, mode: Mode = "train") -> Array:
-        """As for grasping; in training the hand has grasped when it returns."""
+        """As `GraspEnv.reset`; in training it also makes the grasps before it returns."""
         super().reset(epoch, mode)
         if mode == "train":
             nothing = np.zeros((self.num_envs, self.action_size))
@@ -82,7 +82,7 @@ class MotionEnv(TargetEnv):
         move_wrist(self._target, self.s, actions, self.config.motion, rows)
 
     def _grasp_actions(self) -> Array:
-        """(N, D) actions of the frozen policy; zeros where there is nothing to act on."""
+        """(N, D) actions of the frozen policy; zeros for environments that are not simulated."""
         assert self.grasp is not None
         rows = np.flatnonzero(self.alive & self.active)
         phi = np.zeros((self.num_envs, self._grasp_layer.size), np.float32)
@@ -94,7 +94,7 @@ class MotionEnv(TargetEnv):
         return actions
 
     def _let_go(self, which: Array) -> None:
-        """The motion of some environments begins: the wrist is as stiff as motion synthesis has it."""
+        """Begin the motion of some environments: the wrist gets the stiffness of motion synthesis."""
         for i in np.flatnonzero(which).tolist():
             self.worlds.set_gains(i, HOLD_KP_POSITION)
         self._moving |= which
@@ -109,4 +109,4 @@ class MotionEnv(TargetEnv):
 
 
 ENVS: dict[str, type[GraspEnv]] = {"grasp": GraspEnv, "flat": FlatEnv, "motion": MotionEnv}
-"""By the `env.task`."""
+"""The kind of environment, by `env.task`."""

@@ -1,4 +1,4 @@
-"""The test's hold inside training episodes (`env.hold`): the table goes, the wrist stays, a drop ends the episode."""
+"""The test's hold in training episodes (`env.hold`): the table is removed, the wrist held, a drop ends the episode."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from dgrasp.types import Array, GraspGoal, SceneState
 
 
 class TrainingHold:
-    """For N environments; does nothing where `env.hold.first_step` is null. control: the wrist's while it is held."""
+    """The hold of N environments; not used if `env.hold.first_step` is null. control: holds the wrist."""
 
     def __init__(self, env: EnvConfig, hand: HandLayout, state: SceneState, n: int) -> None:
         self.config, self.control = env.hold, WristHold(env.action, hand, state)
@@ -20,12 +20,12 @@ class TrainingHold:
         self._target = np.zeros(state.gc.shape)
 
     def draw(self, i: int, rng: np.random.Generator) -> None:
-        """Draw the step at which an episode's table goes."""
+        """Draw the step at which the table of environment `i` is removed."""
         if self.config.first_step is not None:
             self._removal[i] = rng.integers(self.config.first_step, self.config.last_step + 1)
 
     def begin(self, state: SceneState, clock: Array, active: Array) -> Array:
-        """Rows of the environments whose table goes now; their wrists are held from here on."""
+        """Start the hold where it is due; return the rows of the environments whose table must be removed now."""
         rows = np.flatnonzero(active & (state.table_gone == 0) & (clock >= self._removal))
         if len(rows):
             self.control.catch(state, rows)
@@ -34,14 +34,14 @@ class TrainingHold:
         return rows
 
     def aim(self, state: SceneState, goal: GraspGoal, sigma: Array, target: Array) -> Array:
-        """Writes the PD targets (N, D) of held hands into `target`; returns the scale of each one's actions."""
+        """Write the PD targets (N, D) of held hands into `target`; return the action scales of all environments."""
         held = state.table_gone > 0
         self.control.bias(state, goal, self._target)
         target[held] = self._target[held]
         return np.where(held[:, None], self.control.sigma, sigma)
 
     def judge(self, state: SceneState) -> Array:
-        """(N,) bool: who has dropped the object. Writes who holds it, `state.holding`."""
+        """(N,) bool: environments that have dropped the object. Writes those that hold it into `state.holding`."""
         dropped: Array = (state.table_gone > 0) & (state.object_pos_W[:, 2] < self._drop_height)
         np.multiply(state.table_gone, ~dropped, out=state.holding)
         return dropped

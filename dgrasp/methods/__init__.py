@@ -1,6 +1,6 @@
-"""What can be evaluated: trained policies and the paper's baselines, one module each.
+"""The methods that can be evaluated: trained policies and the paper's baselines, one module each.
 
-A new method is one module with a class like those here, and its place in `METHODS`.
+To add a method, write a module with a subclass of `Method` and list the class in `_KINDS`.
 """
 
 from __future__ import annotations
@@ -17,15 +17,15 @@ from dgrasp.rl.run.policies import SavedPolicy
 
 _KINDS: tuple[type[Method], ...] = (PolicyMethod, PdBaseline, IkBaseline, StaticGrasp, FlatRl, LearnedMotion)
 METHODS: dict[str, type[Method]] = {kind.name: kind for kind in _KINDS}
-"""By name."""
+"""All methods, by name."""
 BASELINES = tuple(sorted(name for name in METHODS if name != PolicyMethod.name))
-"""The names that `--baseline` takes."""
+"""The names that `--baseline` accepts."""
 TRAINED = {kind.task: kind for kind in METHODS.values() if issubclass(kind, PolicyMethod)}
-"""The kinds of policies that train.py makes, by their `env.task`."""
+"""The kinds of policies that train.py trains, by `env.task`."""
 
 
 def method_of(saved: SavedPolicy) -> PolicyMethod:
-    """A trained policy as what its task makes it."""
+    """A saved policy as the method for its task; `DataError` for an unknown task."""
     if saved.task not in TRAINED:
         raise DataError(f"a policy of task {saved.task!r:.60}; expected {', '.join(TRAINED)}")
     return TRAINED[saved.task](saved.policy)

@@ -1,4 +1,4 @@
-"""The baseline Flat-RL: one policy on phi and psi for everything, with the rewards of both, trained end to end."""
+"""The baseline Flat-RL: one policy on phi and psi for the whole hand, trained end to end with the rewards of both."""
 
 from __future__ import annotations
 
@@ -7,9 +7,10 @@ from dgrasp.methods.target_policy import TargetPolicy
 
 
 class FlatRl(TargetPolicy):
-    """Supplement, section B.4: no phases, so its target is there from the first step; `dgrasp.env.target_env.FlatEnv`.
+    """Flat-RL (supplement, section B.4), without phases: the policy sees the target from the first step.
 
-    A frozen policy only tells which labels are trained and tested on, with `motion.stable_alone`.
+    Its environment is `dgrasp.env.target_env.FlatEnv`. A frozen policy is needed only with `motion.stable_alone`, to
+    choose the labels for training and testing.
     """
 
     name = "flat_rl"

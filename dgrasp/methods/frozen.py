@@ -1,4 +1,4 @@
-"""The frozen grasping policy of the tasks with a target: where it is from, and the grasps that it makes stable."""
+"""The frozen grasping policy of the tasks with a target: how it is loaded, and the pool that tests its grasps."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from dgrasp.types import Array
 
 
 class FrozenGrasp(Method):
-    """The frozen policy, as the environments of task "motion" have it."""
+    """The frozen policy as a method, with the same numpy actor that the environments of task "motion" use."""
 
     name = "policy"
 
@@ -29,23 +29,24 @@ class FrozenGrasp(Method):
         self._actor = actor
 
     def act(self, observation: Array) -> Array:
-        """Actions (N, A), the means of the policy."""
+        """Actions (N, A): the means of the policy."""
         actions = np.empty((len(observation), len(self._actor.std)), np.float32)
         self._actor.means(observation, actions)
         return actions
 
 
 def frozen_grasp(spec: PoolSpec) -> tuple[FrozenGrasp, PoolSpec]:
-    """The frozen policy of a pool, and the pool of task "grasp" in which its grasps are tested."""
+    """The frozen policy of a pool, and the specification of the pool of task "grasp" that tests its grasps."""
     assert spec.grasp is not None
     env = spec.config.env.model_copy(update={"task": "grasp"})
     return FrozenGrasp(spec.grasp), dataclasses.replace(spec, config=spec.config.model_copy(update={"env": env}))
 
 
 def grasping_policy(config: Config, hand: HandLayout | None = None) -> Policy:
-    """The policy of `motion.policy`; `ConfigError` if it is not named, or would not see and do what it learned.
+    """The policy named by `motion.policy`.
 
-    hand: the hand that it is to move, where that is known already.
+    `ConfigError` if none is named, or if the policy is of another task, was trained with another input or output
+    (`SENSES`), or takes another number of observations. hand: the hand that it will move, if already known.
     """
     if config.motion.policy is None:
         raise ConfigError("motion.policy: expected the checkpoint of a grasping policy, such as "
@@ -64,11 +65,11 @@ def grasping_policy(config: Config, hand: HandLayout | None = None) -> Policy:
 
 
 def _check_env(saved: SavedPolicy, env: EnvConfig, path: Path) -> None:
-    # Keys that a policy's own config lacks are younger than it is: their defaults are what it was trained with. The
-    # authors' policies, which have no config, were trained with the defaults too.
+    # A key that a policy's config lacks is newer than the policy, which was trained with what is now its default. The
+    # authors' policies, which carry no config, were trained with the default values.
     there = make_config({"env": saved.env}, str(path)).env.model_dump(mode="json")
     here = env.model_dump(mode="json")
     differ = [key for key in SENSES if there[key] != here[key]]
     if differ:
         listed = "; ".join(f"env.{key} is {there[key]!r} there, {here[key]!r} here" for key in differ)
-        raise ConfigError(f"motion.policy: {path} was trained with another config ({listed}); set these keys as there")
+        raise ConfigError(f"motion.policy: {path} was trained with another config ({listed}); use its values here")

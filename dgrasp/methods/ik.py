@@ -1,4 +1,4 @@
-"""The baseline *+IK: the labels are corrected first, so that what should touch the object does; then PD holds them."""
+"""The baseline *+IK: inverse kinematics moves each label's goal contacts onto the object; then PD holds the pose."""
 
 from __future__ import annotations
 
@@ -21,16 +21,16 @@ from dgrasp.pool import PoolSpec
 from dgrasp.types import Array, GraspLabel
 
 SPACING = 0.003
-"""m between the points that stand for an object's surface."""
+"""Distance (m) between the sample points of an object's surface."""
 
 
 class IkBaseline(PdBaseline):
-    """Supplement, section B.4; what it leaves open, and how it was settled, stands in docs/metrics.md."""
+    """*+IK (supplement, section B.4). docs/metrics.md lists the details that the paper leaves open, and our choices."""
 
     name = "gt_ik"
 
     def prepare(self, spec: PoolSpec, bodies: Bodies) -> PoolSpec:
-        """The pool with its labels corrected; says how long that took."""
+        """The specification with corrected labels; prints how long the correction took."""
         objects = bodies()
         started = time.perf_counter()
         labels = correct_labels(spec.labels, spec.hand, objects)
@@ -42,11 +42,11 @@ class IkBaseline(PdBaseline):
 def correct_labels(
     labels: Sequence[GraspLabel], hand: HandModel, objects: Mapping[str, Body]
 ) -> list[GraspLabel]:
-    """The labels with the key points of goal contacts drawn to the closest points of their object's surface.
+    """Fit the hands so that the key points of goal contacts reach the closest points of their object's surface.
 
+    The targets of the other key points are their present positions. A small penalty keeps the finger angles near the
+    label's (`fit_keypoints`). Wrist and fingers move; the object does not.
     objects: bodies by name, in their frames O.
-    The other key points are to stay, and so are the angles, weakly (`fit_keypoints`). Wrist and fingers move, the
-    object does not.
     """
     joints_O = make_goal(labels).joints_O
     closest = closest_points(labels, joints_O, objects)
@@ -66,7 +66,10 @@ def correct_labels(
 
 
 def closest_points(labels: Sequence[GraspLabel], joints_O: Array, objects: Mapping[str, Body]) -> Array:
-    """(N, K, 3) m: for key points (N, K, 3) the closest points of the labels' objects, in O, `SPACING` apart."""
+    """(N, K, 3) m, in O: for each key point (N, K, 3) the closest surface point of its label's object.
+
+    The candidates are sample points of the surface, `SPACING` apart.
+    """
     from scipy.spatial import cKDTree
 
     closest = np.empty_like(joints_O)
@@ -79,11 +82,12 @@ def closest_points(labels: Sequence[GraspLabel], joints_O: Array, objects: Mappi
 
 
 def contact_keypoints(keypoint_parts: Array, goal_contacts: Array, distances: Array) -> Array:
-    """(N, K) bool: the key points that stand for goal contacts (N, P), from their distances (N, K) m to the object.
+    """(N, K) bool: the key points that represent the goal contacts (N, P), given distances (N, K) m to the object.
 
-    keypoint_parts (K,): the part that each belongs to. A finger part has the key point of its joint, the last one the
-    fingertip too. Of a part that should touch, those within 0.015 m count, which is how the authors' labels were made;
-    the closer one where none is. The palm has none, as the wrist is not where a palm touches.
+    keypoint_parts: (K,) the part that each key point belongs to. A finger part has the key point of its joint; the last
+    part of a finger also has the fingertip. Of a part with a goal contact, the key points within 0.015 m of the object
+    are chosen, the distance with which the authors' labels were made. If none is so near, the closest is chosen. The
+    palm (part 0) has none, because its key point, the wrist, is not where a palm touches.
     """
     chosen = np.zeros(distances.shape, bool)
     for part in range(1, goal_contacts.shape[1]):

@@ -1,4 +1,4 @@
-"""The baseline "Ours+learned policy": a policy on psi moves the wrist of a hand that a frozen policy closes."""
+"""The baseline "Ours+learned policy": a policy on psi moves the wrist while a frozen policy controls the fingers."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from dgrasp.methods.target_policy import TargetPolicy
 
 
 class LearnedMotion(TargetPolicy):
-    """Supplement, section A.2. The grasp belongs to the environment (`dgrasp.env.target_env.MotionEnv`)."""
+    """Learned motion (supplement, section A.2). The environment makes the grasp (`dgrasp.env.target_env.MotionEnv`)."""
 
     name = "learned_motion"
     task = "motion"
@@ -21,5 +21,5 @@ class LearnedMotion(TargetPolicy):
         return True
 
     def describe(self, motion: MotionConfig) -> dict[str, Any]:
-        """As for other policies with a target, with the frozen policy that makes the grasps."""
+        """As for other policies with a target, plus the frozen policy that makes the grasps."""
         return super().describe(motion) | {"grasp": str(motion.policy)}

@@ -1,4 +1,4 @@
-"""What a method is: how evaluated episodes start, what acts in them, and what the rest of the program asks of it."""
+"""The interface of a method: how its episodes start, how it acts, and the other properties that the program needs."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ from dgrasp.pool import PoolSpec
 from dgrasp.types import Array
 
 Bodies = Callable[[], Mapping[str, Body]]
-"""Makes the surfaces of the objects, by name, in their frames O; called by the methods that need them."""
+"""Builds the surfaces of the objects, by name, in their frames O. Only methods that need them call it."""
 
 
 class Method(Protocol):
-    """A trained policy or a baseline. A method inherits from this class and overrides what differs.
+    """A trained policy or a baseline. Methods inherit from this class and override what differs.
 
-    name: what `--baseline` and results call it. mode: how its episodes start (`GraspEnv.reset`). task: the `env.task`
-    that it is for. motion: whether it moves objects to targets: never, where `motion.targets` is set, or always.
+    name: its name in `--baseline` and in results. mode: how its episodes start (`GraspEnv.reset`). task: its
+    `env.task`. motion: whether it moves objects to targets: never, only if `motion.targets` is set (may), or always.
     takes_policy: whether it is made from a saved policy. grasps_first: whether a motion begins after
-    `env.grasp_steps` control steps of grasping; False shows the first target from the first step.
+    `env.grasp_steps` control steps of grasping; if False, the first target is shown from the first step.
     """
 
     name: str
@@ -36,15 +36,15 @@ class Method(Protocol):
 
     @classmethod
     def check_policy(cls, given: bool) -> None:
-        """`ConfigError` for a saved policy that the method has no use for, and for one that it lacks."""
+        """Check whether a saved policy is given; `ConfigError` if the method cannot use one or lacks one."""
         refused = {"no": True, "may": None, "must": False}
         if given == refused[cls.takes_policy]:
             raise ConfigError("what to test: expected one of --baseline, --run and --policy (--baseline static_grasp "
-                              "may take its grasps from one of the others)")
+                              "can be combined with --run or --policy, which then makes the grasps)")
 
     @classmethod
     def make(cls, policy: Method | None, where: str) -> Method:
-        """The method, given what a saved policy is by itself; where: what names that policy in errors."""
+        """Make the method. policy: the method of the saved policy, if any. where: the name of that policy in errors."""
         assert policy is not None
         return policy
 
@@ -52,25 +52,25 @@ class Method(Protocol):
         """Actions (N, A) for observations (N, O)."""
 
     def check(self, config: Config) -> None:
-        """`ConfigError` for a config of another task than the method's."""
+        """`ConfigError` if the config's task is not the method's."""
         if self.task != config.env.task:
-            raise ConfigError(f"{self.name} is of task {self.task}, and the config of env.task={config.env.task}; "
+            raise ConfigError(f"{self.name} is for task {self.task}, but the config has env.task={config.env.task}; "
                               "expected the policy's own config: its --run, or --cfg RUN/config.yaml")
 
     def prepare(self, spec: PoolSpec, bodies: Bodies) -> PoolSpec:
-        """What is simulated, from what was chosen: a method may correct the labels first."""
+        """The specification to simulate. A method may change it, for example correct the labels."""
         return spec
 
     def grasping(self, spec: PoolSpec) -> tuple[Method, PoolSpec]:
-        """The method that makes the grasps of a motion, and the pool in which they are tested for stability."""
+        """The method that makes the grasps of a motion, and the specification of the pool that tests them."""
         return self, spec
 
     def fingers(self, motion: MotionConfig) -> Fingers:
-        """What has the fingers during a motion."""
+        """What controls the fingers during a motion."""
         return "policy"
 
     def describe(self, motion: MotionConfig) -> dict[str, Any]:
-        """The method's part of a result's `motion`: how the wrist moves, and what has the fingers and the grasp."""
+        """The method's part of a result's `motion`: how the wrist moves, what controls the fingers, what grasps."""
         beta = {"position": motion.beta_position, "rotation": motion.beta_rotation,
                 "ramp_position": motion.ramp_position, "ramp_rotation": motion.ramp_rotation}
         return {"beta": beta, "fingers": self.fingers(motion), "grasp": self.name}

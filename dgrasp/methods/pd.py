@@ -1,4 +1,4 @@
-"""The baseline *+PD: hand and object start in the label's pose without a table, PD keeps it there."""
+"""The baseline *+PD: hand and object start in the label's pose without a table, and PD control holds the pose."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from dgrasp.types import Array
 
 
 class PdBaseline(Method):
-    """Supplement, section B.4. The environment's mode "label" holds the pose, so the action is nothing."""
+    """*+PD (supplement, section B.4). The environment's mode "label" holds the pose, so all actions are zero."""
 
     name = "gt_pd"
     mode = "label"
@@ -17,7 +17,7 @@ class PdBaseline(Method):
 
     @classmethod
     def make(cls, policy: Method | None, where: str) -> Method:
-        """It takes no policy."""
+        """Make the baseline, which takes no policy."""
         return cls()
 
     def act(self, observation: Array) -> Array:

@@ -1,4 +1,4 @@
-"""A trained policy of grasping; with wrist guidance and the closed loop of motion synthesis, the paper's own method."""
+"""A trained grasping policy. With wrist guidance and closed-loop motion synthesis it is the paper's own method."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from dgrasp.types import Array
 
 
 class PolicyMethod(Method):
-    """A trained policy, without exploration noise, from the start of the approach (paper, section 4.4).
+    """A trained policy that acts without exploration noise from the start of the approach (paper, section 4.4).
 
-    cfg, cfg_keys: what train.py takes to train one.
+    cfg, cfg_keys: the config and the keys with which train.py trains such a policy.
     """
 
     name = "policy"
@@ -31,9 +31,9 @@ class PolicyMethod(Method):
 
     @classmethod
     def needs_grasp(cls, motion: MotionConfig) -> bool:
-        """Whether its environments, or the choice of its labels, need the frozen policy `motion.policy`."""
+        """Whether its environments or the choice of its labels need the frozen policy `motion.policy`."""
         return False
 
     def act(self, observation: Array) -> Array:
-        """Actions (N, A), the means of the policy."""
+        """Actions (N, A): the means of the policy."""
         return self.policy.act(observation)

@@ -1,4 +1,4 @@
-"""The baseline "Ours+static grasp": once the grasp is there, the fingers only hold while the wrist moves."""
+"""The baseline "Ours+static grasp": after the grasp, the fingers hold still while the wrist moves."""
 
 from __future__ import annotations
 
@@ -16,9 +16,10 @@ from dgrasp.types import Array
 
 
 class StaticGrasp(Method):
-    """Paper, section 4.1. In the motion the fingers' PD targets stay (`motion.static_fingers`), whatever `grasp` says.
+    """Static grasp (paper, section 4.1). During the motion the fingers' PD targets are fixed (`motion.static_fingers`).
 
-    grasp: what makes the grasp and is tested for stability: a policy, or by default PD in the label's pose.
+    grasp: the method that makes the grasp and is tested for stability: a policy, or by default PD in the label's pose.
+    Its actions do not move the fingers during the motion.
     """
 
     name = "static_grasp"
@@ -32,24 +33,24 @@ class StaticGrasp(Method):
 
     @classmethod
     def make(cls, policy: Method | None, where: str) -> Method:
-        """With the grasps of a policy, or without one."""
+        """Make the baseline with the grasps of a policy, or of PD if there is none."""
         return cls(policy)
 
     def act(self, observation: Array) -> Array:
-        """Actions (N, D) of the grasp."""
+        """Actions (N, D) of the method that makes the grasp."""
         return np.asarray(self.grasp.act(observation))
 
     def check(self, config: Config) -> None:
-        """As for others; and the policy must be one of grasping."""
+        """As for other methods; also `ConfigError` if the policy is not a grasping policy."""
         super().check(config)
         if self.task != "grasp":
             raise ConfigError(f"--baseline static_grasp: a policy of task {self.task} makes no grasp to hold; expected "
                               "a grasping policy")
 
     def fingers(self, motion: MotionConfig) -> Fingers:
-        """They hold their pose or their last PD targets."""
+        """The fingers hold their pose or their last PD targets."""
         return motion.static_fingers
 
     def describe(self, motion: MotionConfig) -> dict[str, Any]:
-        """As for others, with the method that makes the grasps."""
+        """As for other methods, with the method that makes the grasps."""
         return super().describe(motion) | {"grasp": self.grasp.name}

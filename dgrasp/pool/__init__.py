@@ -1,4 +1,4 @@
-"""Where environments run. `serial` is the reference; `process` is held equal to it, to the bit."""
+"""Pools that run environments. `serial` is the reference; tests check that `process` equals it to the bit."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ def cores() -> int:
 
 
 def make_pool(spec: PoolSpec) -> Pool:
-    """The pool that the config asks for; `workers: null` takes one worker per core."""
+    """The pool that the config names; `workers: null` means one worker per core (`process`) or CPU (`ray`)."""
     if spec.config.pool.kind == "serial":
         from dgrasp.pool.serial import SerialPool
 

@@ -1,4 +1,4 @@
-"""Labels divided over workers by what they were measured to cost: a mug can cost five times a can."""
+"""Divide labels over workers by measured cost, because a mug can cost five times as much as a can."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from dgrasp.types import Array
 
 
 def costs(seconds: Array, steps: Array) -> Array:
-    """(N,) seconds per control step of each environment; the mean for those that have made none.
+    """(N,) seconds per control step of each environment; the mean of the others for those that have made no step.
 
-    seconds, steps: (N,) spent and made so far.
+    seconds, steps: (N,) seconds spent and control steps made so far. Without any step, all costs are 1.
     """
     made = steps > 0
     known: Array = np.divide(seconds, steps, out=np.zeros(len(seconds)), where=made)
@@ -20,13 +20,13 @@ def costs(seconds: Array, steps: Array) -> Array:
 
 
 def stretches(cost: Array, workers: int) -> list[slice]:
-    """The set cut into one stretch per worker, each with nearly the same cost and at least one environment.
+    """Cut the set into one contiguous stretch per worker, each with nearly the same cost and at least one environment.
 
-    Stretches, for an epoch's draw (`labels.per_epoch`) takes the same share of any stretch.
+    The parts are contiguous because the draw of an epoch (`labels.per_epoch`) takes the same share of any stretch.
     """
     n = len(cost)
     ends = np.cumsum(cost)
-    # Where the sum is nearest to each worker's share of the whole.
+    # Cut where the cumulative cost is nearest to each worker's share of the total.
     wanted = ends[-1] * np.arange(1, workers) / workers
     cuts = [int(np.abs(ends - share).argmin()) + 1 for share in wanted.tolist()]
     bounds = [0, *cuts, n]
@@ -36,6 +36,6 @@ def stretches(cost: Array, workers: int) -> list[slice]:
 
 
 def imbalance(cost: Array, rows: list[slice]) -> float:
-    """How much longer the busiest worker takes than the mean: 0 is perfect."""
+    """How much longer the busiest worker takes than the mean, as a fraction of the mean; 0 is perfect balance."""
     loads = np.array([cost[part].sum() for part in rows])
     return float(loads.max() / loads.mean() - 1.0)

@@ -1,4 +1,4 @@
-"""A pool of environments: the learner's `VecEnv` with the phases that evaluation needs."""
+"""A pool of environments: the learner's `VecEnv` plus the phases that evaluation needs."""
 
 from __future__ import annotations
 
@@ -22,17 +22,19 @@ from dgrasp.types import Array, GraspLabel, SceneState
 
 
 class PoolError(DGraspError):
-    """A worker failed for good; the message holds its traceback."""
+    """A worker failed permanently; the message holds its traceback or the reason."""
 
 
 class WorkerLost(DGraspError):
-    """A worker died or hung in the middle of a test. Its environments are back, in a new worker: start over."""
+    """A worker died or hung during a test. A new worker has its environments; the test must start over."""
 
 
 @dataclass(frozen=True)
 class PoolSpec:
-    """What a pool is made of: one environment per label. grasp: the frozen policy of task "motion", or the
-    one that says for "flat" which grasps are stable.
+    """The specification of a pool, which has one environment per label.
+
+    grasp: the frozen grasping policy; in task "motion" it makes the grasps, in task "flat" it determines which grasps
+    are stable.
     """
 
     labels: Sequence[GraspLabel]
@@ -43,7 +45,7 @@ class PoolSpec:
 
 
 def make_env(spec: PoolSpec, rows: slice = slice(None)) -> GraspEnv:
-    """The environments of some labels, of the kind that `env.task` names."""
+    """Make the environments of some labels, of the kind that `env.task` names."""
     indices = list(range(len(spec.labels)))[rows]
     labels = [spec.labels[i] for i in indices]
     kind = ENVS[spec.config.env.task]
@@ -51,7 +53,7 @@ def make_env(spec: PoolSpec, rows: slice = slice(None)) -> GraspEnv:
 
 
 class SizedPool:
-    """What a pool knows of its environments without having made one."""
+    """The attributes of a pool that follow from its specification, without making an environment."""
 
     def __init__(self, spec: PoolSpec) -> None:
         self.labels = spec.labels
@@ -75,16 +77,16 @@ class SizedPool:
 
 
 class Pool(VecEnv, Protocol):
-    """Environments wherever they run: what the learner needs, and steps and phases of a test."""
+    """The interface of all pools: collection for the learner, and the steps and phases of a test."""
 
     labels: Sequence[GraspLabel]
     state: SceneState
-    """States of all environments after the last reset or step; kept current in modes test and label alone."""
+    """States of all environments after the last reset or step; kept current only in modes "test" and "label"."""
 
     def reset(self, epoch: int = 0, mode: Mode = "train") -> Array:
-        """Start all episodes (see `GraspEnv.reset`); returns the observations (N, O).
+        """Start all episodes (see `GraspEnv.reset`); return the observations (N, O).
 
-        This and the next three raise `WorkerLost`, after which a reset starts over.
+        This and the next three methods raise `WorkerLost` if a worker is lost; call `reset` again to start over.
         """
 
     def step(self, actions: Array) -> Step:
@@ -94,10 +96,10 @@ class Pool(VecEnv, Protocol):
         """Begin the stability test in all environments."""
 
     def begin_motion(self, path: Array, fingers: Fingers = "policy") -> None:
-        """Begin the motion along the targets' path (N, P, 4, 4) in all environments (see `GraspEnv.begin_motion`).
+        """Begin the motion along the path of targets (N, P, 4, 4) in all environments (see `GraspEnv.begin_motion`).
 
-        The observations of the last step then show the first targets.
+        Updates the observations of the last step to the first targets.
         """
 
     def close(self) -> None:
-        """Free worlds and processes."""
+        """Free all worlds and end all processes."""

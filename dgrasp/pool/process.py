@@ -1,13 +1,15 @@
-"""Environments in worker processes, many to a worker, over shared memory.
+"""Environments in worker processes, many per worker, with shared memory.
 
-To collect an epoch, each worker is sent the actor once and goes through all its control steps alone; a
-worker waits for nobody. Stepped from outside, one byte goes to each worker per step and one comes back.
-Observations, actions and states lie in shared memory. At first environment i belongs to worker i modulo the
-number of workers; after the first epoch each has a stretch of the set that costs as much as any other's
+To collect an epoch, the pool sends the actor to each worker once. Each worker then makes all its control steps without
+waiting for the others. When the pool is stepped from outside, one byte goes to each worker per step and one comes back.
+Observations, actions and states lie in shared memory.
+
+At first, environment i belongs to worker i modulo the number of workers. After epochs 1, 10 and 100 the pool compares
+the measured costs and may give each worker a contiguous stretch of the set, all of nearly equal cost
 (`dgrasp.pool.balance`).
 
-A worker that dies or hangs is replaced by a new one with the same environments. What it had collected of the
-epoch is lost; what the others collected is not.
+A worker that dies or hangs is replaced by a new one with the same environments. Its experience of the epoch is lost;
+that of the other workers is kept.
 """
 
 from __future__ import annotations
@@ -36,18 +38,18 @@ from dgrasp.types import Array
 
 _THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 _POLL_S = 0.2
-"""How often the main process looks how far a collection is."""
+"""Interval (s) at which the main process checks the progress of a collection."""
 _LOSSES_IN_A_ROW = 3
-"""A worker that is lost this often without a success in between will not get better."""
+"""After this many losses of a worker without a success in between, the pool gives up."""
 BALANCE_AFTER = (1, 10, 100)
-"""Collections after which costs are looked at: grasps cost more as a policy learns to make them."""
+"""Numbers of collections after which costs are compared; grasps cost more as the policy learns to make them."""
 WORTH_MOVING = 0.03
-"""Share of a collection that a new division must save; it builds all worlds anew."""
+"""Imbalance that a new division must save, as a fraction of the mean load; it rebuilds all worlds."""
 
 
 @dataclass
 class _Member:
-    """A worker process and our end of its pipe."""
+    """A worker process, the main process's end of its pipe, and the losses since its last success."""
 
     process: BaseProcess
     connection: Connection
@@ -56,7 +58,7 @@ class _Member:
 
 @contextmanager
 def _single_threaded() -> Iterator[None]:
-    """Workers inherit one BLAS thread each: they already share the cores."""
+    """Let workers started in this block inherit one BLAS thread each, because the workers already use all cores."""
     before = {key: os.environ.get(key) for key in _THREAD_VARIABLES}
     os.environ.update(dict.fromkeys(_THREAD_VARIABLES, "1"))
     try:
@@ -88,7 +90,7 @@ class ProcessPool(SizedPool):
         self._spent = np.zeros((2, self.num_envs))
         """Seconds inside the engine and control steps made, by environment."""
         self._told: list[Array] = [np.zeros((2, 1))] * self._workers
-        """The same as the present workers count it, when they last told."""
+        """The same counts as last reported by the present workers, one array per worker."""
         self._physics = 0.0
         self._collections = 0
         try:
@@ -132,7 +134,7 @@ class ProcessPool(SizedPool):
         command = pickle.dumps(("collect", actor, epoch, layout, self._collected.name))
         waiting, lost = set(range(self._workers)), []
         for w in range(self._workers):
-            # A worker that is gone already shows itself below, where its end of the pipe is closed.
+            # A worker that has died is detected below by the closed end of its pipe.
             with suppress(OSError):
                 self._members[w].connection.send_bytes(command)
         try:
@@ -144,7 +146,7 @@ class ProcessPool(SizedPool):
                     self._events.append(f"{loss}; the experience of its environments in this epoch is dropped")
                     lost.append(w)
         except BaseException:
-            # The workers end at their next control step, and are then ready for other commands.
+            # The workers stop after their present control step and are then ready for other commands.
             self._shared.stop[0] = True
             for w in waiting:
                 with suppress(WorkerLost, PoolError):
@@ -156,7 +158,7 @@ class ProcessPool(SizedPool):
         return self._trajectories
 
     def _balance(self) -> None:
-        """Divide the environments anew if the measured costs make it worth while."""
+        """Divide the environments again if the measured costs make it worthwhile."""
         cost = costs(*self._spent)
         rows = stretches(cost, self._workers)
         if imbalance(cost, self._rows) - imbalance(cost, rows) < WORTH_MOVING:
@@ -173,7 +175,7 @@ class ProcessPool(SizedPool):
                 self._replace(w)
 
     def _arrivals(self, waiting: set[int], advance: Callable[[int], None]) -> Iterator[int]:
-        """Workers as they answer, die or miss the deadline; `waiting` holds those that have not."""
+        """Yield each worker when it answers, dies or misses the deadline, and remove it from `waiting`."""
         counts, told = self._shared.counts, 0
         last, moved = counts.copy(), [time.monotonic()] * self._workers
         while waiting:
@@ -238,7 +240,10 @@ class ProcessPool(SizedPool):
         self._start, self._physics = time.perf_counter(), self._listen()
 
     def _command(self, command: bytes) -> None:
-        """All workers do it. Lost ones are replaced, and then `WorkerLost` says that they did not do it."""
+        """Send a command to all workers and wait for their answers.
+
+        Lost workers are replaced; `WorkerLost` is then raised, because the new workers have not executed the command.
+        """
         losses = []
         for w in range(self._workers):
             with suppress(OSError):
@@ -254,7 +259,10 @@ class ProcessPool(SizedPool):
             raise WorkerLost("; ".join(losses))
 
     def _receive(self, w: int, patience_s: float | None) -> None:
-        """Wait for a worker's answer. `WorkerLost` if it is gone or silent, `PoolError` with its traceback."""
+        """Wait for a worker's answer; a `patience_s` of None waits without limit.
+
+        `WorkerLost` if the worker died or does not answer in time, `PoolError` with its traceback if it failed.
+        """
         member = self._members[w]
         try:
             if not member.connection.poll(patience_s):
@@ -268,7 +276,7 @@ class ProcessPool(SizedPool):
             raise PoolError(f"worker {w} failed:\n{answer[1:].decode(errors='replace')}")
 
     def _replace(self, w: int) -> None:
-        """A new worker with the same environments."""
+        """Replace a worker by a new one with the same environments; `PoolError` after too many losses in a row."""
         losses = self._members[w].losses + 1
         _end(self._members[w], patience_s=0.0)
         if losses >= _LOSSES_IN_A_ROW:
@@ -284,7 +292,7 @@ class ProcessPool(SizedPool):
             self._replace(w)
 
     def _listen(self) -> float:
-        """Take over what the workers have to tell. Returns the seconds inside the engine so far."""
+        """Collect costs, events and incidents from the workers; return the seconds inside the engine so far."""
         command = pickle.dumps(("tell",))
         for w in range(self._workers):
             try:

@@ -1,11 +1,11 @@
-"""Environments on the machines of a Ray cluster: whole epochs per call, for a call costs milliseconds there.
+"""Environments on the machines of a Ray cluster. One call collects a whole epoch, because a call takes milliseconds.
 
-A worker holds one part of the environments. To collect an epoch, the policy goes to the cluster's object store once,
-each worker fetches it, plays all control steps and returns its trajectories. A worker that dies is started again,
-wherever there is room; what it had collected is dropped. One that is late is left behind for this epoch, so that a slow
-machine costs experience but not time (`pool.patience`).
+A worker holds one part of the environments. To collect an epoch, the pool puts the policy into the cluster's object
+store once. Each worker fetches it, makes all control steps and returns its trajectories. A worker that dies is started
+again on any machine with a free CPU; its experience of the epoch is dropped. The pool does not wait for a late worker,
+so a slow machine costs experience but not time (`pool.patience`).
 
-Every machine needs this package, and the label's meshes under the same paths (a shared file system).
+Every machine needs this package, and the object meshes under the same paths (a shared file system).
 """
 
 from __future__ import annotations
@@ -33,9 +33,9 @@ from dgrasp.types import Array
 
 _POLL_S = 0.2
 _SAY_AFTER_S = 30.0
-"""After this long a busy cluster is said to be waited for."""
+"""Time (s) after which the pool reports that it is waiting for a busy cluster."""
 _LOSSES_IN_A_ROW = 3
-"""A worker that is lost this often without a success in between will not get better."""
+"""After this many losses of a worker without a success in between, the pool gives up."""
 _ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
 
 
@@ -69,15 +69,15 @@ class RayPool(SizedPool):
         self._trajectories: Trajectories | None = None
         self._lost, self._losses = 0, [0] * self._workers
         self._late: dict[int, Any] = {}
-        """Workers that are still busy with an epoch that went on without them: the pending answer, and since when."""
+        """Workers still busy with an epoch that ended without them: the pending answer, and when it became late."""
         self._told, self._physics = np.zeros(self._workers), 0.0
         self._start = (time.perf_counter(), 0.0)
 
     def _connect(self) -> None:
         """Join the cluster at `pool.address`, or start one on this machine."""
-        # A library sends nobody's usage anywhere unasked.
+        # A library must not send usage statistics without consent.
         os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
-        # Ray's workers stand back for all else on the machine; here the learner waits for them.
+        # By default Ray lowers the priority of its workers; here the learner waits for them.
         os.environ.setdefault("RAY_worker_niceness", "0")
         address = self._config.address
         try:
@@ -85,21 +85,21 @@ class RayPool(SizedPool):
                 self._ray.init(include_dashboard=False, log_to_driver=False, num_cpus=self._config.workers)
             else:
                 self._ray.init(address=address, log_to_driver=False)
-        except Exception as error:  # Ray raises many kinds, and all mean that there is no cluster
+        except Exception as error:  # Ray raises many kinds of errors, and all of them mean that there is no cluster
             raise ConfigError(
                 f"pool.address: cannot reach a Ray cluster at {address!r} ({error}); expected auto, HOST:PORT, or null "
                 "for one on this machine"
             ) from None
 
     def _fitting_workers(self) -> int:
-        """How many workers there will be; `ConfigError` if the cluster has fewer CPUs than that."""
+        """The number of workers; `ConfigError` if the cluster has fewer CPUs than that."""
         cpus = int(self._ray.cluster_resources().get("CPU", 0))
         workers = max(1, min(self._config.workers or cpus, self.num_envs))
         if workers > cpus:
-            # Those without a CPU would be waited for, for ever.
+            # The pool would wait forever for workers without a CPU.
             raise ConfigError(
-                f"pool.workers: {workers} workers take a CPU each, and the Ray cluster has {cpus}; expected at most "
-                "that, or null for as many as there are"
+                f"pool.workers: {workers} workers need one CPU each, but the Ray cluster has {cpus}; expected at most "
+                "that, or null for one worker per CPU"
             )
         return workers
 
@@ -108,8 +108,8 @@ class RayPool(SizedPool):
         _, late = self._ray.wait(ready, num_returns=len(ready), timeout=_SAY_AFTER_S)
         if late:
             free = int(self._ray.available_resources().get("CPU", 0))
-            print(f"waiting for {len(late)} of {len(ready)} workers, which take a CPU each; the Ray cluster has {free} "
-                  "free", file=sys.stderr, flush=True)
+            print(f"waiting for {len(late)} of {len(ready)} workers, which need one CPU each; free CPUs in the Ray "
+                  f"cluster: {free}", file=sys.stderr, flush=True)
         for w in range(self._workers):
             try:
                 self._ray.get(ready[w])
@@ -153,7 +153,7 @@ class RayPool(SizedPool):
         return self._trajectories
 
     def _take(self, w: int, answer: Any) -> bool:
-        """Put what a worker returned into the trajectories; false if it is lost, and replaced."""
+        """Copy a worker's answer into the trajectories; False if the worker was lost and has been replaced."""
         assert self._trajectories is not None
         try:
             got: Collected = self._ray.get(answer)
@@ -170,7 +170,7 @@ class RayPool(SizedPool):
         return True
 
     def _drop_what_came_late(self) -> None:
-        """Late workers that are done are asked again; those that never end are replaced."""
+        """Return late workers that have finished to service; replace those that exceed `pool.hang_s`."""
         for w, (answer, since) in list(self._late.items()):
             done, _ = self._ray.wait([answer], timeout=0)
             if done:
@@ -182,7 +182,10 @@ class RayPool(SizedPool):
                 self._replace(w, f"hung for {self._config.hang_s:g} s (pool.hang_s)")
 
     def _replace(self, w: int, why: str) -> None:
-        """A new worker with the same environments, on whatever machine has room."""
+        """Replace a worker by a new one with the same environments, on any machine with a free CPU.
+
+        why: completes the message "worker w ...". `PoolError` after too many losses in a row.
+        """
         self._events.append(f"worker {w} {why}")
         self._losses[w] += 1
         self._lost += 1
@@ -229,9 +232,9 @@ class RayPool(SizedPool):
         self._all(lambda w: self._members[w].begin_motion.remote(path[self._rows[w]], fingers))
 
     def _all(self, call: Callable[[int], Any]) -> None:
-        """Take over what every worker returns of a call.
+        """Make a call in every worker and copy the results.
 
-        Lost workers are replaced, and then `WorkerLost` says that they returned nothing.
+        Lost workers are replaced; `WorkerLost` is then raised, because they have returned nothing.
         """
         answers, lost = [call(w) for w in range(self._workers)], []
         for w, answer in enumerate(answers):

@@ -1,4 +1,4 @@
-"""What runs in a worker of a Ray cluster, and what it returns."""
+"""The worker on a Ray cluster and the values that it returns."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from dgrasp.types import Array
 
 
 class Collected(NamedTuple):
-    """What a worker returns of an epoch, for its environments."""
+    """A worker's answer for an epoch of its environments."""
 
     trajectories: Trajectories
     incidents: list[Incident]
@@ -26,7 +26,7 @@ class Collected(NamedTuple):
 
 
 class Stepped(NamedTuple):
-    """What a worker returns of a step, a reset or a new phase, for its environments; state: all arrays in one block."""
+    """A worker's answer for a step, a reset or a new phase. state: all arrays of its `SceneState` in one block."""
 
     step: Step
     state: Array
@@ -44,7 +44,7 @@ class RayWorker:
         self._trajectories: Trajectories | None = None
 
     def process_id(self) -> int:
-        """Also says that the environments are there."""
+        """The id of the worker's process; an answer also shows that the environments have been made."""
         return os.getpid()
 
     def collect(self, actor: Actor, epoch: int, steps: int) -> Collected:

@@ -1,4 +1,4 @@
-"""All environments in this process: the reference that the process pool is held equal to."""
+"""All environments in this process. This pool is the reference that the process pool must equal."""
 
 from __future__ import annotations
 

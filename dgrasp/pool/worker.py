@@ -1,4 +1,4 @@
-"""What runs in a worker process of the pool, and the shared memory between it and the main process."""
+"""A worker process of the pool, and the shared memory between it and the main process."""
 
 from __future__ import annotations
 
@@ -22,16 +22,16 @@ from dgrasp.scene.state import copy_state, state_size, state_views
 from dgrasp.types import Array, SceneState
 
 OK, FAILED = b"k", b"e"
-"""First bytes of an answer; a failure goes on with its traceback."""
+"""First byte of an answer; after FAILED comes the traceback."""
 STEP, QUIT = b"s", b"q"
 
 
 class _Stopped(Exception):
-    """The main process wants a collection to end."""
+    """The main process has asked to end the collection."""
 
 
 def shared_arrays(layout: Layout, name: str | None = None) -> tuple[SharedMemory, dict[str, Array]]:
-    """Named arrays in one block of shared memory: a new one, or the existing one of that name."""
+    """Named arrays in one block of shared memory: a new block, or the existing block `name`."""
     sizes = {key: int(np.prod(shape)) * np.dtype(kind).itemsize for key, (shape, kind) in layout.items()}
     memory = SharedMemory(name=name) if name else SharedMemory(create=True, size=sum(sizes.values()))
     arrays, offset = {}, 0
@@ -42,13 +42,13 @@ def shared_arrays(layout: Layout, name: str | None = None) -> tuple[SharedMemory
 
 
 class Shared:
-    """The arrays of all N environments for steps from outside, and what a collection needs beside them."""
+    """The shared arrays of all N environments for steps from outside, and the counts and stop flag of a collection."""
 
     def __init__(
         self, n: int, hand: HandLayout, observation_size: int, action_size: int, n_terms: int, workers: int,
         name: str | None = None,
     ) -> None:
-        # The widest types first, so that every array is aligned.
+        # The widest types come first, so that every array is aligned.
         layout: Layout = {
             "state": ((n * state_size(hand),), np.float64),
             "counts": ((workers,), np.int64),
@@ -66,15 +66,18 @@ class Shared:
         self.out = Step(**arrays)
 
     def write(self, env: GraspEnv, rows: slice) -> None:
-        """Publish what an environment's step wrote."""
+        """Copy the results of a step of `env` into its rows; the states only outside training."""
         self.out.write(rows, env.o)
         if env.mode != "train":
             copy_state(env.s, self.state, rows)
 
 
 class Told(NamedTuple):
-    """What a worker tells of itself: (n,) seconds inside the engine and control steps made so far, by environment;
-    events and incidents since last asked."""
+    """A worker's report.
+
+    seconds, steps: (n,) seconds inside the engine and control steps made so far, by environment. events, incidents:
+    those since the last report.
+    """
 
     seconds: Array
     steps: Array
@@ -83,7 +86,7 @@ class Told(NamedTuple):
 
 
 class Worker:
-    """Some environments of a pool. Each public method but `serve` is a command."""
+    """Some environments of a pool. Each public method except `serve` is a command."""
 
     def __init__(self, conn: Connection, spec: PoolSpec, w: int, workers: int, rows: slice, memory: str) -> None:
         self._conn, self._spec, self._w = conn, spec, w
@@ -103,7 +106,7 @@ class Worker:
         """Take over other environments."""
         self.env.close()
         self.env = self._make(rows)
-        # Its views are of the old rows.
+        # Drop the collection's arrays: the present views are of the old rows.
         self._memory = None
 
     def step(self) -> None:
@@ -140,7 +143,10 @@ class Worker:
         return told
 
     def serve(self) -> None:
-        """Answer commands until told to stop: a method's name and its arguments, or one byte for a step."""
+        """Execute and answer commands until told to quit.
+
+        A command is the name of a method and its arguments, or a single byte: STEP or QUIT.
+        """
         while True:
             try:
                 command = self._conn.recv_bytes()
@@ -160,8 +166,8 @@ class Worker:
 
 
 def work(conn: Connection, spec: PoolSpec, w: int, workers: int, rows: slice, memory: str) -> None:
-    """A worker's process: builds its environments, says so, and serves."""
-    # Ctrl-C belongs to the main process, which stops the workers in its own time.
+    """The main function of a worker process: make the environments, report that they are ready, and serve."""
+    # The main process handles Ctrl-C and stops the workers when it is ready.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     try:
         worker = Worker(conn, spec, w, workers, rows, memory)

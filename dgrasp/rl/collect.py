@@ -1,4 +1,4 @@
-"""Collecting experience where the environments are: an actor in plain numpy, and the arrays that it fills."""
+"""Collect experience in the process that holds the environments: a plain numpy actor and the arrays it fills."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from dgrasp.rl.step import Layout, Step
 from dgrasp.types import Array
 
 LEAK = 0.01
-"""Slope of the networks' LeakyReLU for negative numbers."""
+"""Slope of the networks' LeakyReLU for negative inputs."""
 
 
 @dataclass(frozen=True)
 class Actor:
-    """A Gaussian policy as numpy arrays: what a worker needs to act, and nothing of torch.
+    """A Gaussian policy as numpy arrays, which lets a worker act without torch.
 
-    layers: (weight (out, in), bias (out,)) float32 of each layer. std: (A,) float32. seed: of its noise.
+    layers: (weight (out, in), bias (out,)) float32 of each layer. std: (A,) float32. seed: seed of the noise.
     """
 
     layers: tuple[tuple[Array, Array], ...]
@@ -28,9 +28,10 @@ class Actor:
     seed: int
 
     def means(self, observations: Array, out: Array) -> None:
-        """Writes the mean actions (n, A) for observations (n, O), of which it takes the first that it needs.
+        """Write the mean actions (n, A) for observations (n, O) into `out`.
 
-        Row by row, so that a row's bits do not depend on how many others it is with.
+        The network reads the first columns of the observations, as many as its first layer has inputs. Rows are
+        computed one by one, so the result for a row does not depend, to the bit, on the other rows.
         """
         inputs = self.layers[0][0].shape[1]
         for x, row in zip(observations[:, :inputs], out, strict=True):
@@ -43,8 +44,8 @@ class Actor:
             row += bias
 
     def noise(self, epoch: int, index: int, steps: int) -> Array:
-        """(steps, A) standard normal float32 of one environment in one epoch."""
-        # The spawn key keeps it apart from streams that others derive from the same numbers.
+        """(steps, A) standard normal float32 noise of one environment in one epoch."""
+        # The spawn key separates this stream from others derived from the same numbers.
         sequence = np.random.SeedSequence([self.seed, epoch, index], spawn_key=(2,))
         return np.random.default_rng(sequence).standard_normal((steps, len(self.std)), dtype=np.float32)
 
@@ -55,8 +56,8 @@ class Trajectories:
 
     observations: (T, N, O), actions: (T, N, A), reward: (T, N), reward_terms: (N, K) summed over time, all float32.
     terminated, truncated: (T, N) bool. last_observation: (N, O), after the last step.
-    final_observations: (F, N, O), the last observations of an environment's truncated episodes, in their order.
-    valid: (N,) bool, false where an environment took no part, or a lost worker left the arrays unfinished.
+    final_observations: (F, N, O), the last observations of each environment's truncated episodes, in order.
+    valid: (N,) bool, false where an environment took no part or a lost worker left its rows unfinished.
     """
 
     observations: Array
@@ -71,7 +72,7 @@ class Trajectories:
 
     @staticmethod
     def layout(steps: int, envs: int, observation: int, action: int, terms: int, finals: int = 1) -> Layout:
-        """Shape and type of each array; `finals`: how many episodes of an environment may be truncated."""
+        """Shape and type of each array. finals: how many episodes of one environment may be truncated."""
         return {
             "observations": ((steps, envs, observation), np.float32),
             "actions": ((steps, envs, action), np.float32),
@@ -86,7 +87,7 @@ class Trajectories:
 
     @classmethod
     def allocate(cls, *sizes: int) -> Trajectories:
-        """Empty arrays; sizes as for `layout`."""
+        """Arrays of zeros; sizes as for `layout`."""
         return cls(**{name: np.zeros(shape, kind) for name, (shape, kind) in cls.layout(*sizes).items()})
 
     def part(self, envs: slice) -> Trajectories:
@@ -94,7 +95,7 @@ class Trajectories:
         return Trajectories(**{k: v[envs] if k in _PER_ENV else v[:, envs] for k, v in vars(self).items()})
 
     def valid_part(self) -> Trajectories:
-        """The environments that were collected to the end: itself if all were, else copies."""
+        """The trajectories of valid environments: this object itself if all are valid, otherwise copies."""
         if self.valid.all():
             return self
         rows = np.flatnonzero(self.valid)
@@ -105,10 +106,10 @@ _PER_ENV = ("last_observation", "reward_terms", "valid")
 
 
 class Incident(NamedTuple):
-    """An episode that the simulation broke: all that it takes to play it again.
+    """What is needed to replay an episode in which the simulation broke.
 
-    Environment `env` was reset for `epoch`, and took the actions (t, A), the last of which broke it. (Episodes
-    that ended earlier in the epoch, and restarted, are part of it.)
+    Environment `env` was reset for `epoch` and took the actions (t, A); the simulation broke at the last one. The
+    actions start at the reset, so they include earlier episodes of the same epoch.
     """
 
     env: int
@@ -117,7 +118,7 @@ class Incident(NamedTuple):
 
 
 class Steppable(Protocol):
-    """Environments in this process; those that are not `active` after a reset take no part."""
+    """Environments in this process. Environments that are not `active` after a reset take no part in the epoch."""
 
     @property
     def active(self) -> Array: ...
@@ -133,11 +134,11 @@ def collect(
     out: Trajectories,
     advance: Callable[[int], None],
 ) -> list[Incident]:
-    """Fills `out` with an epoch of `env`, whose n environments have the given places in the whole set.
+    """Fill `out` with one epoch of the n environments in `env`; return the episodes in which the simulation broke.
 
-    advance: called after every control step with how many environments made it; what it raises ends the
-    collection. Returns the episodes that the simulation broke. Raises `DataError` if an observation or reward
-    is not finite.
+    indices: the place of each environment in the whole set. advance: called after every control step with the number
+    of environments that made it; an exception from it ends the collection. Raises `DataError` if an observation or
+    reward is not finite.
     """
     steps, n, n_actions = out.actions.shape
     action = np.zeros((n, n_actions), np.float32)

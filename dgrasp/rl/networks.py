@@ -1,4 +1,4 @@
-"""Actor and critic (supplement, table of PPO: two hidden layers of 128, LeakyReLU)."""
+"""Actor and critic networks (supplement, table of PPO parameters: two hidden layers of 128, LeakyReLU)."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _LOG_2PI = math.log(2.0 * math.pi)
 
 
 class Evaluated(NamedTuple):
-    """What the policy now says of B old actions: log_prob, value (B,), mean (B, A), std (A,), entropy ()."""
+    """The model's present outputs for B old actions: log_prob, value (B,), mean (B, A), std (A,), entropy ()."""
 
     log_prob: Tensor
     value: Tensor
@@ -53,11 +53,11 @@ def make_mlp(sizes: list[int], dtype: torch.dtype = torch.float32) -> nn.Sequent
 
 
 def _initialise(network: nn.Sequential, generator: torch.Generator, output_gain: float) -> None:
-    """Orthogonal weights of gain sqrt(2), as in the authors' code, and biases of zero.
+    """Set orthogonal weights with gain sqrt(2), as in the authors' code, and zero biases.
 
-    sqrt(2) keeps the scale of the activations through rectifiers; the published policies were trained with it in
-    the last layer too, which is `output_gain`. With zero biases the gain alone sets the scale of the outputs, and a
-    zero observation has mean and value zero.
+    A gain of sqrt(2) preserves the scale of activations through rectifiers. `output_gain` is the gain of the last
+    layer; the published policies were trained with sqrt(2) there too. With zero biases the gain alone sets the scale
+    of the outputs, and a zero observation gives mean and value zero.
     """
     for layer in network:
         if isinstance(layer, nn.Linear):
@@ -67,10 +67,11 @@ def _initialise(network: nn.Sequential, generator: torch.Generator, output_gain:
 
 
 class ActorCritic(nn.Module):
-    """A Gaussian policy and a value function, two networks that share nothing.
+    """A Gaussian policy and a value function: two networks that share no parameters.
 
-    The standard deviation is one learned number per action, itself and not its logarithm, so that the same
-    step of the optimiser moves a small one relatively further (the authors' parametrisation).
+    The standard deviation is one learned number per action, independent of the observation. As in the authors' code,
+    the parameter is the standard deviation itself, not its logarithm, so an optimiser step of a given size changes a
+    small standard deviation by a larger fraction.
     """
 
     def __init__(
@@ -91,16 +92,16 @@ class ActorCritic(nn.Module):
         self.std = nn.Parameter(torch.full((action_size,), float(initial_std)))
         self.register_buffer("return_scale", torch.tensor([0.0, 1.0]))
         self.return_scale: Tensor
-        """Mean and standard deviation of the returns, in units of which the critic's network speaks."""
+        """(2,) mean and standard deviation of the returns: value = network output * standard deviation + mean."""
         _initialise(self.actor, generator, output_gain)
         _initialise(self.critic, generator, math.sqrt(2.0))
 
     def actor_arrays(self, seed: int) -> Actor:
-        """The policy as it is now, for collecting experience; `seed` is of its noise."""
+        """The present policy as arrays, for collecting experience. seed: seed of the exploration noise."""
         return Actor(_layers(self.actor), _copy(self.std), seed)
 
     def evaluate(self, observation: Tensor, action: Tensor) -> Evaluated:
-        """Judge actions (B, A) taken at observations (B, O), with gradients."""
+        """Evaluate actions (B, A) taken at observations (B, O), with gradients."""
         mean = self.actor(observation[..., : self.actor_size])
         entropy = self.std.log().sum() + 0.5 * self.action_size * (1.0 + _LOG_2PI)
         log_prob = gaussian_log_prob(action, mean, self.std)
@@ -113,7 +114,7 @@ class ActorCritic(nn.Module):
 
     @torch.no_grad()
     def rescale_returns(self, mean: Tensor, std: Tensor) -> None:
-        """Give the critic's network another unit; its values stay what they are (van Hasselt et al. 2016)."""
+        """Change `return_scale` and correct the critic's last layer to keep all values (van Hasselt et al. 2016)."""
         last = self.critic[-1]
         assert isinstance(last, nn.Linear)
         old_mean, old_std = self.return_scale.clone()
@@ -133,7 +134,7 @@ class ActorCritic(nn.Module):
         self.std.clamp_(min=smallest)
 
     def architecture(self) -> dict[str, Any]:
-        """What two models must share for the weights of one to fit the other."""
+        """The properties that two models must share for one to load the other's weights."""
         return {
             "observation_size": self.observation_size,
             "actor_size": self.actor_size,
@@ -144,7 +145,7 @@ class ActorCritic(nn.Module):
         }
 
     def policy(self) -> Policy:
-        """The deterministic policy; it shares the weights, so it is the present one until the next update."""
+        """The deterministic policy. It shares the model's weights, so updates of the model change it too."""
         return Policy(self.actor, self.observation_size, self.action_size, self.actor_size)
 
 
@@ -161,7 +162,7 @@ def parameter_shapes(architecture: dict[str, Any]) -> dict[str, tuple[int, ...]]
 
 
 class Policy:
-    """A deterministic policy between numpy arrays, for evaluation."""
+    """A deterministic policy that maps numpy arrays to numpy arrays, for evaluation."""
 
     def __init__(
         self, actor: nn.Module, observation_size: int, action_size: int, actor_size: int | None = None
@@ -172,13 +173,13 @@ class Policy:
         self._device, self._dtype = parameter.device, parameter.dtype
 
     def arrays(self) -> Actor:
-        """The policy in plain numpy, float32, and without noise: for workers that have no torch."""
+        """The policy as float32 numpy arrays, without noise, for workers that do not use torch."""
         layers = tuple((w.astype(np.float32), b.astype(np.float32)) for w, b in _layers(self._actor))
         return Actor(layers, np.zeros(self.action_size, np.float32), seed=0)
 
     @torch.no_grad()
     def act(self, observation: Array) -> Array:
-        """Actions (N, A) float32 for observations (N, O) float32; `DataError` on another observation size."""
+        """Actions (N, A) float32 for observations (N, O) float32; `DataError` for another shape of observations."""
         if observation.ndim != 2 or observation.shape[1] != self.observation_size:
             raise DataError(
                 f"the policy takes observations of shape (N, {self.observation_size}), got {observation.shape}; "

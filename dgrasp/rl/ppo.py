@@ -1,4 +1,4 @@
-"""Proximal policy optimisation (Schulman et al. 2017): the losses and the update, nothing else."""
+"""Proximal policy optimisation (Schulman et al. 2017): the losses and the update."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ STATISTICS = (
     "surrogate_loss", "value_loss", "entropy", "kl", "clip_fraction", "grad_norm",
     "learning_rate", "action_std", "explained_variance",
 )  # fmt: skip
-"""Keys of what `Ppo.update` returns."""
+"""Keys of the dictionary that `Ppo.update` returns."""
 
 _KL_TOLERANCE = 2.0
 _KL_ROUNDING = 1e-9
@@ -34,7 +34,7 @@ def surrogate_loss(ratio: Tensor, advantages: Tensor, clip: float) -> Tensor:
 def value_loss(values: Tensor, old_values: Tensor, returns: Tensor, clip: float | None) -> Tensor:
     """Mean squared error of the values (B,).
 
-    clip: values may gain from moving at most this far from the old ones (in the unit of the returns):
+    clip: the distance from the old values beyond which a value cannot lower the loss, in the unit of the arguments:
     mean(max((V - R)^2, (V_old + clamp(V - V_old, -clip, clip) - R)^2)). None: no limit.
     """
     error = (values - returns).square()
@@ -52,9 +52,10 @@ def gaussian_kl(old_mean: Tensor, old_std: Tensor, mean: Tensor, std: Tensor) ->
 
 
 def adapted_learning_rate(rate: float, kl: float, config: PpoConfig) -> float:
-    """The learning rate after a KL: / 1.5 above twice the desired one, * 1.5 below half of it, within limits.
+    """The learning rate adapted to a measured KL, within the config's limits.
 
-    A KL of 0, but for rounding, says nothing (no step was made) and changes nothing.
+    Divided by 1.5 if the KL is above twice `desired_kl`, multiplied by 1.5 if it is below half of it. A KL of zero
+    (up to rounding) leaves the rate as it is, because the policy has made no step yet.
     """
     if kl > _KL_TOLERANCE * config.desired_kl:
         return max(config.min_learning_rate, rate / _RATE_FACTOR)
@@ -64,7 +65,7 @@ def adapted_learning_rate(rate: float, kl: float, config: PpoConfig) -> float:
 
 
 class Ppo:
-    """Updates a model from rollouts, with one Adam for actor, critic and standard deviation."""
+    """Updates a model from rollouts, with one Adam optimiser for actor, critic and standard deviation."""
 
     def __init__(self, model: ActorCritic, config: PpoConfig) -> None:
         self.model, self.config = model, config
@@ -81,22 +82,22 @@ class Ppo:
             group["lr"] = rate
 
     def update(self, rollout: Rollout, generator: torch.Generator) -> dict[str, float]:
-        """Improve the model on a rollout whose returns are computed.
+        """Update the model on a rollout whose returns have been computed.
 
-        generator: on the CPU, shuffles the samples. Returns the means over all minibatches of the
-        `STATISTICS`, except learning_rate and action_std (after the update) and explained_variance (of the
-        returns by the old values). Raises `DataError` if the gradient is not finite.
+        generator: a CPU generator that shuffles the samples. Returns the `STATISTICS`: learning_rate and action_std
+        after the update, explained_variance of the returns by the old values, and the others as means over all
+        minibatches. Raises `DataError` if the gradient is not finite.
         """
         statistics = {"explained_variance": _explained_variance(rollout.values, rollout.returns).item()}
         if self.config.normalise_returns:
             self._track_returns(rollout.returns)
-        # The rollout was made with the standard deviation that the model still has.
+        # Nothing has changed the standard deviation since the rollout was collected.
         old_std = self.model.std.detach().clone()
         rows = []
         for _ in range(self.config.update_epochs):
             for batch in rollout.minibatches(self.config.minibatches, generator if self.config.shuffle else None):
                 rows.append(self._step(batch, old_std))
-        # As in the authors' code the floor comes after the whole update.
+        # As in the authors' code, the floor is applied after the whole update.
         self.model.floor_std(max(self.config.min_std, _SMALLEST_STD))
         for name in rows[0]:
             statistics[name] = sum(row[name] for row in rows) / len(rows)
@@ -117,7 +118,7 @@ class Ppo:
         if config.advantages_per_minibatch:
             advantages = (advantages - advantages.mean()) / (advantages.std() + 1e-8)
         surrogate = surrogate_loss(ratio, advantages, config.clip)
-        # In the critic's own unit, which is that of the returns unless they are normalised.
+        # The critic's own unit: that of the returns unless they are normalised.
         unit = self.model.return_scale[1]
         of_value = value_loss(
             now.value / unit, batch.values / unit, batch.returns / unit,
@@ -134,7 +135,7 @@ class Ppo:
                 f"{self.learning_rate:g}); resume the last checkpoint with a smaller ppo.max_learning_rate"
             )
         self.optimizer.step()
-        # A step can take a small standard deviation below zero, where it has no logarithm.
+        # An optimiser step can make a small standard deviation negative, where its logarithm is undefined.
         self.model.floor_std(_SMALLEST_STD)
         return {
             "surrogate_loss": surrogate.item(),
@@ -147,7 +148,10 @@ class Ppo:
 
 
     def _clip_gradients(self) -> float:
-        """Limits the gradient's norm, of actor and critic together or each its own; the norm before."""
+        """Limit the norm of the gradient and return the norm before.
+
+        One limit for actor and critic together, or with `separate_clipping` the same limit for each of them.
+        """
         model, limit = self.model, self.config.max_grad_norm
         if not self.config.separate_clipping:
             return nn.utils.clip_grad_norm_(model.parameters(), limit).item()
@@ -156,7 +160,7 @@ class Ppo:
         return (of_actor.square() + of_critic.square()).sqrt().item()
 
     def _track_returns(self, returns: Tensor) -> None:
-        """Follow mean and variance of the returns, the first epoch's at once and later ones slowly."""
+        """Track the mean and variance of the returns: the first epoch sets them, later epochs move them slowly."""
         mean, variance = returns.mean(), returns.var()
         if not torch.equal(self.model.return_scale.cpu(), torch.tensor([0.0, 1.0])):
             old_mean, old_std = self.model.return_scale
@@ -166,5 +170,5 @@ class Ppo:
 
 
 def _explained_variance(values: Tensor, returns: Tensor) -> Tensor:
-    """1 - Var(R - V) / Var(R): 1 for a perfect critic, 0 for a constant one; nan where returns do not vary."""
+    """1 - Var(R - V) / Var(R): 1 for a perfect critic, 0 for a constant one, NaN if the returns do not vary."""
     return 1.0 - (returns - values).var() / returns.var()

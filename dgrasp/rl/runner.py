@@ -1,4 +1,4 @@
-"""The training run: collect, update, evaluate, log, save; interrupted and resumed without a trace."""
+"""The training run: collect, update, evaluate, log, save. Interrupting and resuming does not change the result."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ from dgrasp.rl.storage import Rollout
 from dgrasp.rl.vec_env import VecEnv
 
 Evaluate = Callable[[Policy], dict[str, Any]]
-"""Deterministic evaluation: numbers by name, "success" among them, and "gif" (bytes) if there is one."""
+"""Evaluates a policy deterministically. Returns numbers by name, such as "success", and bytes under "gif" if any."""
 
 
 class Interrupted(Exception):
-    """The training was interrupted; `checkpoint` holds its last completed epoch. preempted: by SIGTERM."""
+    """The training was interrupted; `checkpoint` holds its last completed epoch. preempted: SIGTERM interrupted it."""
 
     def __init__(self, checkpoint: Path, epoch: int, preempted: bool = False) -> None:
         super().__init__(f"interrupted; epoch {epoch} is saved in {checkpoint}, continue with --resume")
@@ -39,15 +39,15 @@ class Interrupted(Exception):
 
 
 def epoch_generator(seed: int, epoch: int) -> torch.Generator:
-    """The learner's randomness in an epoch, on the CPU; epoch 0 is the initialisation of the networks."""
-    # The spawn key keeps it apart from streams that others derive from the same two numbers.
+    """The learner's CPU generator for an epoch. Epoch 0 initialises the networks."""
+    # The spawn key separates this stream from others derived from the same two numbers.
     sequence = np.random.SeedSequence([seed, epoch], spawn_key=(1,))
     return torch.Generator().manual_seed(int(sequence.generate_state(1, np.uint64)[0]))
 
 
 @contextlib.contextmanager
 def _threads(number: int) -> Iterator[None]:
-    """So many torch threads; evaluations, before and after, have as many as ever."""
+    """Use this many torch threads inside the block and restore the previous number afterwards."""
     before = torch.get_num_threads()
     torch.set_num_threads(number)
     try:
@@ -57,19 +57,19 @@ def _threads(number: int) -> Iterator[None]:
 
 
 def pick_device(name: str) -> torch.device:
-    """The torch device for the config's `device`: auto takes a GPU if there is one."""
+    """The torch device for the config's `device`; `auto` takes a GPU if there is one."""
     if name == "cuda" and not torch.cuda.is_available():
         raise ConfigError("device: cuda is not available here; expected auto or cpu")
     return torch.device("cuda" if name != "cpu" and torch.cuda.is_available() else "cpu")
 
 
 class Runner:
-    """Trains a policy in `env` and keeps the run directory.
+    """Trains a policy in `env` and maintains the run directory.
 
-    data_stamp: what was trained on, as plain JSON values. evaluate: called before the first epoch, every
-    `eval.every` epochs and at the end. resume: continue from the newest checkpoint of `run_dir`, to the bit
-    as if the run had never stopped. Raises `ConfigError` for a directory that holds another run,
-    `DataError` for a checkpoint that cannot be resumed.
+    data_stamp: identifies the training data, as plain JSON values. evaluate: called before the first epoch, every
+    `eval.every` epochs and at the end. resume: continue from the newest checkpoint of `run_dir`; the result is equal,
+    to the bit, to that of a run without the interruption. Raises `ConfigError` for a directory that holds another
+    run, `DataError` for a checkpoint that cannot be resumed.
     """
 
     def __init__(
@@ -112,7 +112,7 @@ class Runner:
                 with self._open_log() as log:
                     self._learn(log)
             except DGraspError:
-                # A pool that is lost for good, a gradient that is not finite: what was learned before stays.
+                # After a fatal error, such as a lost pool or a gradient that is not finite, keep the last good epoch.
                 if self._completed.epoch > self._resumed_epoch:
                     with uninterruptible(), contextlib.suppress(DGraspError):
                         self._save()
@@ -149,7 +149,7 @@ class Runner:
                 break
 
     def _collect(self, epoch: int, log: Log) -> dict[str, float]:
-        """Fill the rollout with one epoch and compute its returns; the epoch's reward statistics."""
+        """Fill the rollout with one epoch and compute its returns; return the epoch's reward statistics."""
         env, rollout = self.env, self.rollout
         actor = self.model.actor_arrays(self.config.seed)
         while True:
@@ -163,7 +163,7 @@ class Runner:
         rollout.load(trajectories, self.model)
         rollout.compute_returns(self.config.ppo.gamma, self.config.ppo.lam)
 
-        # Sums over the epoch per environment, so that they compare however many episodes it holds.
+        # Sums over the epoch per environment, which compare between epochs with different numbers of episodes.
         values = {RETURN: float(rollout.rewards.sum(0, dtype=torch.float64).mean())}
         for tag, ends in ((TERMINATED, trajectories.terminated), (TRUNCATED, trajectories.truncated)):
             values[tag] = float(ends.sum(axis=0).mean())
@@ -176,7 +176,7 @@ class Runner:
         return {**_tagged("speed", self.env.timing()), **own}
 
     def _complete(self, epoch: int, values: dict[str, float], log: Log, last: bool = False) -> None:
-        """Evaluate if it is time to, log, and take the snapshot that makes the epoch count as completed."""
+        """Evaluate if due, log, and take the snapshot that marks the epoch as completed."""
         self.epoch = epoch
         gif = None
         if self.evaluate is not None and (epoch % self.config.eval.every == 0 or last):
@@ -193,20 +193,20 @@ class Runner:
             checkpoints.save_best(self.run_dir, self._completed)
 
     def _steps_in(self, epoch: int) -> int:
-        """Control steps that an epoch asks for."""
+        """Control steps that an epoch asks of the environments."""
         return self.config.steps_in(epoch, self.env.num_envs)
 
     def _steps_after(self, epoch: int) -> int:
-        """Control steps of the whole run when an epoch is complete, not before the one that it was resumed after.
+        """Control steps of the whole run at the end of an epoch, which must not precede the resumed epoch.
 
-        Those that were lost with their workers do not count.
+        Steps lost with their workers do not count.
         """
         asked = sum(map(self._steps_in, range(self._resumed_epoch + 1, epoch + 1)))
         return self._resumed_steps + asked - self._lost_steps
 
     @property
     def last_epoch(self) -> int:
-        """The last one that `ppo.epochs` and `ppo.max_steps` allow; the first, at least."""
+        """The last epoch that `ppo.epochs` and `ppo.max_steps` allow; at least 1."""
         return self.config.last_epoch(self.env.num_envs, self._resumed_epoch, self._resumed_steps)
 
     def _open_log(self) -> Log:

@@ -1,4 +1,4 @@
-"""What a control step returns, declared once for the learner, the environments and the pools."""
+"""The result of a control step, declared once for the learner, the environments and the pools."""
 
 from __future__ import annotations
 
@@ -10,18 +10,18 @@ import numpy as np
 from dgrasp.types import Array
 
 Layout = dict[str, tuple[tuple[int, ...], Any]]
-"""Shape and type of named arrays."""
+"""Shapes and types of arrays, by name."""
 
 
 @dataclass(frozen=True)
 class Step:
-    """One control step of N environments. The next call overwrites the arrays, which may lie in shared memory.
+    """One control step of N environments. The next step overwrites the arrays, which may lie in shared memory.
 
-    observation: (N, O) float32, where an episode ended already the first one of the next episode.
-    final_observation: (N, O) float32, the last observation of the episode that just ended, where it broke the one
-        before the step that broke it; valid where terminated or truncated.
+    observation: (N, O) float32; where an episode ended, the first observation of the next episode.
+    final_observation: (N, O) float32, valid where terminated or truncated: the last observation of the episode that
+        just ended. Where the simulation broke, it is the observation before that step.
     reward: (N,) float32. reward_terms: (N, K) float32, weighted, in the order of `VecEnv.reward_terms`.
-    terminated, truncated: (N,) bool; a truncated episode ran into its time limit.
+    terminated, truncated: (N,) bool; a truncated episode reached its time limit.
     broken: (N,) bool, terminated because the simulation broke.
     """
 
@@ -35,7 +35,7 @@ class Step:
 
     @staticmethod
     def layout(envs: int, observation: int, terms: int) -> Layout:
-        """Shape and type of each array of N environments with O observations and K reward terms."""
+        """Shape and type of each array for N environments with O observations and K reward terms."""
         return {
             "observation": ((envs, observation), np.float32),
             "final_observation": ((envs, observation), np.float32),
@@ -53,6 +53,6 @@ class Step:
         return cls(**{name: np.zeros(shape, kind) for name, (shape, kind) in layout.items()})
 
     def write(self, rows: slice, part: Step) -> None:
-        """Copy the step of some environments into their rows."""
+        """Copy the step `part` of some environments into their rows."""
         for name, array in vars(part).items():
             getattr(self, name)[rows] = array

@@ -16,9 +16,9 @@ _ADVANTAGE_EPS = 1e-8
 
 
 class Minibatch(NamedTuple):
-    """B samples of a rollout: observations (B, O), actions and their means (B, A), the rest (B,).
+    """B samples of a rollout: observations (B, O), actions and their means (B, A), the other fields (B,).
 
-    advantages are normalised over the whole rollout.
+    The advantages are normalised over the whole rollout.
     """
 
     observations: Tensor
@@ -36,8 +36,8 @@ def generalised_advantages(
     """Generalised advantage estimates (T, N), Schulman et al. 2016, equation 16.
 
     A_t = delta_t + gamma lam A_{t+1} within an episode, delta_t = r_t + gamma V'_t - V_t.
-    All arguments are (T, N). next_values: V' of the state that step t led to, 0 if it is terminal.
-    done: the episode ended with step t, terminated or truncated, so A_{t+1} belongs to another episode.
+    The tensors are (T, N). next_values: V', the value of the state after step t, 0 if that state is terminal.
+    done: whether the episode ended with step t (terminated or truncated), so that A_{t+1} belongs to another episode.
     """
     deltas = rewards + gamma * next_values - values
     carry = gamma * lam * (~done)
@@ -50,18 +50,18 @@ def generalised_advantages(
 
 
 class Rollout:
-    """An epoch of T control steps and N environments as float32 tensors on the learner's device."""
+    """One epoch of T control steps of N environments as tensors on the learner's device, float32 except for flags."""
 
     def __init__(self, device: torch.device) -> None:
         self._device = device
 
     def load(self, trajectories: Trajectories, model: ActorCritic) -> None:
-        """Take over an epoch of experience, and what the model that made it says of it.
+        """Load an epoch of experience and evaluate it with `model`, the model that collected it.
 
-        Environments that were not collected to the end are left out.
+        Environments that are not `valid` are left out.
         """
         t = trajectories.valid_part()
-        # On the CPU these are views of the trajectories, which stay until the next epoch.
+        # On the CPU these are views of the trajectories, which stay unchanged until the next epoch.
         self.observations, self.actions = self._tensor(t.observations), self._tensor(t.actions)
         self.rewards = self._tensor(t.reward)
         self.terminated, self.truncated = self._tensor(t.terminated), self._tensor(t.truncated)
@@ -73,7 +73,7 @@ class Rollout:
                 self.means[step], self.values[step], self.log_probs[step] = said.mean, said.value, said.log_prob
             self.last_values = model.value(self._tensor(t.last_observation))
             finals = model.value(self._tensor(t.final_observations).flatten(0, 1)).view(-1, self.rewards.shape[1])
-        # The k-th truncated episode of an environment ended where its truncations count k.
+        # The k-th truncated episode of an environment ends at the step where its running count of truncations is k.
         order = (self.truncated.cumsum(0) - 1).clamp(min=0)
         self.final_values = finals.gather(0, order)
 
@@ -81,11 +81,11 @@ class Rollout:
         return torch.from_numpy(array).to(self._device)
 
     def compute_returns(self, gamma: float, lam: float) -> None:
-        """Advantages and returns (advantage + value).
+        """Compute advantages and returns (advantage + value).
 
-        The end of the rollout is a time limit, not an end of the task, so it bootstraps from the values of
-        what came last; so does a truncated episode, from its own last observation. A terminated one has
-        nothing to come.
+        The end of the rollout is a time limit, not an end of the task, so it bootstraps from the value of the last
+        observation. A truncated episode bootstraps from the value of its own last observation. The value after a
+        terminated episode is 0.
         """
         next_values = torch.cat([self.values[1:], self.last_values[None]])
         next_values = torch.where(self.truncated, self.final_values, next_values)
@@ -95,9 +95,9 @@ class Rollout:
         self.returns = self.advantages + self.values
 
     def minibatches(self, count: int, generator: torch.Generator | None) -> Iterator[Minibatch]:
-        """All T N samples once, in `count` parts of (nearly) equal size.
+        """Yield all T N samples once, in `count` minibatches of (nearly) equal size.
 
-        generator: shuffles the samples; None keeps them in order of time, as the authors do.
+        generator: shuffles the samples; None keeps them in order of time, as the authors' code does.
         """
         advantages = (self.advantages - self.advantages.mean()) / (self.advantages.std() + _ADVANTAGE_EPS)
         arrays = (self.observations, self.actions, self.means, self.log_probs, self.values, self.returns, advantages)

@@ -1,4 +1,4 @@
-"""What the learner needs of a set of environments; `dgrasp.pool` implements it."""
+"""The interface of a set of environments that the learner uses; `dgrasp.pool` implements it."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from dgrasp.rl.collect import Actor, Incident, Trajectories
 
 
 class VecEnv(Protocol):
-    """N environments, with O observations, A actions and K named reward terms."""
+    """N environments with observations of size O, actions of size A and K named reward terms."""
 
     @property
     def num_envs(self) -> int:
@@ -21,7 +21,7 @@ class VecEnv(Protocol):
 
     @property
     def actor_size(self) -> int:
-        """How many of the observations, from the first, the actor sees."""
+        """How many of the O numbers the actor sees: the first ones."""
 
     @property
     def action_size(self) -> int:
@@ -33,21 +33,21 @@ class VecEnv(Protocol):
 
     @property
     def names(self) -> tuple[str, ...]:
-        """What to call each environment in messages: its label."""
+        """Name of each environment in messages: that of its label."""
 
     def collect(self, actor: Actor, epoch: int, steps: int, advance: Callable[[int], None]) -> Trajectories:
-        """`steps` control steps of all environments from a reset, acted on by `actor`.
+        """Reset all environments and let `actor` act in them for `steps` control steps.
 
-        What happens depends on the actor and (seed, epoch, environment) alone. `advance` is told now and then
-        how many control steps have been made since it was last told. The next call overwrites the arrays.
-        Environments that took no part, or were lost on the way, are not `valid`.
+        The result depends only on the actor and on (seed, epoch, environment). advance: called now and then with the
+        number of control steps made since its last call. The next call of `collect` overwrites the arrays.
+        Environments that took no part or were lost on the way are not `valid`.
         """
 
     def timing(self) -> dict[str, float]:
-        """How the time since the last collection began was spent, such as `physics_share`."""
+        """How the time since the start of the last collection was spent, such as `physics_share`."""
 
     def drain_events(self) -> list[str]:
-        """What happened since the last call that a person should read, such as unstable episodes."""
+        """Messages for the user since the last call, such as unstable episodes."""
 
     def drain_incidents(self) -> list[Incident]:
-        """Episodes that the simulation broke since the last call."""
+        """Episodes in which the simulation broke since the last call."""

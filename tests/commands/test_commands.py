@@ -163,7 +163,7 @@ def test_a_run_whose_checkpoints_are_gone_is_not_begun_anew(trained, tmp_path, c
     shutil.rmtree(run / "checkpoints")
     before = {path: path.read_bytes() for path in run.rglob("*") if path.is_file()}
     assert run_command("train", ["--resume", str(run), "ppo.epochs=5"]) == 2
-    assert "its checkpoints are gone, after 4 epochs" in capsys.readouterr().err
+    assert "its checkpoints are missing after 4 epochs" in capsys.readouterr().err
     assert {path: path.read_bytes() for path in run.rglob("*") if path.is_file()} == before
 
 

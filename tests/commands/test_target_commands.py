@@ -106,8 +106,8 @@ def test_wrong_use_is_one_message(folder, root, grasp, flat, capsys):
     assert "train one: python train.py --cfg cfg/flat_rl.yaml" in missing
     assert "one of task grasp" in said("test", "--baseline", "flat_rl", "--run", grasp)
     assert "one of task flat" in said("test", "--baseline", "learned_motion", "--run", flat)
-    assert "is of task flat" in said("test", "--policy", latest(flat), "--cfg", "cfg/dexycb.yaml")
-    assert "is of task grasp" in said("test", "--run", grasp, "--cfg", flat / "config.yaml")
+    assert "is for task flat" in said("test", "--policy", latest(flat), "--cfg", "cfg/dexycb.yaml")
+    assert "is for task grasp" in said("test", "--run", grasp, "--cfg", flat / "config.yaml")
     hold = said("test", "--baseline", "static_grasp", "--run", flat)
     assert "makes no grasp to hold" in hold
 

@@ -42,14 +42,14 @@ def label(index: int = 0, **changes: Any) -> GraspLabel:
 
 
 def make_env(count: int = 1, first: int = 0, overrides: list[str] | None = None, **options: Any) -> GraspEnv:
-    """An environment of the labels `first` to `first + count - 1`."""
+    """An environment with the labels `first` to `first + count - 1`."""
     labels = [label(first + i) for i in range(count)]
     config: Config = load_config(None, overrides)
     return GraspEnv(labels, hand(), {"004_sugar_box": box()}, config, indices=range(first, first + count), **options)
 
 
 def actions(count: int, step: int, first: int = 0) -> Array:
-    """(count, 51) float32 random actions, the same for an environment wherever it stands."""
+    """(count, 51) float32 random actions, which do not depend on an environment's place in the set."""
     return np.array(
         [np.random.default_rng([step, first + i]).normal(size=51) for i in range(count)], dtype=np.float32
     )
@@ -63,7 +63,7 @@ def random_rotations(n: int, rng: np.random.Generator, largest: float = 1.2) -> 
 
 
 def random_state(n: int, seed: int = 0) -> SceneState:
-    """N states in which every number is somewhere, and hand and key points agree."""
+    """N states with random numbers, in which hand and key points agree."""
     rng = np.random.default_rng(seed)
     s = state_views(n, LAYOUT)
     s.gc[:] = rng.uniform(-0.4, 0.4, (n, 51))
@@ -86,7 +86,7 @@ def random_state(n: int, seed: int = 0) -> SceneState:
 
 
 def random_labels(n: int, seed: int = 1) -> list[GraspLabel]:
-    """N labels with hands and objects anywhere."""
+    """N labels with hands and objects in random poses."""
     rng = np.random.default_rng(seed)
     made = []
     for i in range(n):
@@ -101,7 +101,7 @@ def random_labels(n: int, seed: int = 1) -> list[GraspLabel]:
 
 
 def state_at(labels: list[GraspLabel]) -> SceneState:
-    """The states in which every label is reached: H0 is the label's wrist, the object where the label has it."""
+    """The states in which every label is reached: H0 is the label's wrist; the object has the label's pose."""
     s = state_views(len(labels), LAYOUT)
     s.gc[:, 6:] = [one.hand_pose for one in labels]
     s.R_WH0[:] = s.R_WH[:] = [one.T_WH[:3, :3] for one in labels]
@@ -120,7 +120,7 @@ def copy_state(state: SceneState) -> SceneState:
 
 
 def moved_state(state: SceneState, T: Array) -> SceneState:
-    """The same scene after the rigid motion T (4, 4) of the world; gc and gv are relative to H0 and stay."""
+    """The same scene after the rigid motion T (4, 4) of the world; gc and gv, relative to H0, do not change."""
     R, t = T[:3, :3], T[:3, 3]
     s = copy_state(state)
     for name in ("R_WH0", "R_WH", "R_WO", "R_WG"):

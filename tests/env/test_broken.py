@@ -1,4 +1,4 @@
-"""Simulations that break: their episode ends, is reported, and nobody else notices."""
+"""Simulations that break: their episode ends and is reported; no other environment is affected."""
 
 from __future__ import annotations
 
@@ -50,13 +50,13 @@ def test_a_broken_simulation_ends_its_own_episode(fault: tuple[str, float]) -> N
         assert out.terminated.tolist() == [False, t == 2] and not out.truncated.any()
         for array in (out.observation, out.final_observation, out.reward, out.reward_terms):
             assert np.isfinite(array).all()
-        # The other environment notices nothing.
+        # The other environment is not affected.
         assert np.array_equal(out.observation[0], expected.observation[0]) and out.reward[0] == expected.reward[0]
         if t == 2:
             assert out.reward[1] == 0.0 and not out.reward_terms[1].any()
             assert faulty.clock.tolist() == [3, 0]
             assert np.array_equal(faulty.s.object_pos_W[1], faulty.s.object_start_W[1])
-            # The last sound observation of the episode that broke, not the first of the next one.
+            # The last valid observation of the broken episode, not the first of the next one.
             assert np.array_equal(out.final_observation[1], before)
             assert not np.array_equal(out.observation[1], before)
     (event,) = faulty.events
@@ -66,7 +66,7 @@ def test_a_broken_simulation_ends_its_own_episode(fault: tuple[str, float]) -> N
 
 
 def test_what_a_broken_episode_ends_with_is_nothing_to_learn_from() -> None:
-    """The learner takes final observations of truncated episodes alone: these arrays have none of the broken ones."""
+    """The learner uses final observations of truncated episodes only, so these arrays hold none of broken episodes."""
     steps = 6
     env = make_env(2, overrides=[*QUICK, f"env.episode_steps={steps}", "env.grasp_steps=1"])
     out = Trajectories.allocate(steps, 2, env.observation_size, env.action_size, len(env.reward_terms))
@@ -92,7 +92,7 @@ def test_a_long_fall_past_the_table_is_no_broken_simulation() -> None:
     advance = batch.advance
 
     def fallen(rows: Sequence[int], targets: Array, substeps: int) -> None:
-        """The object has fallen past the table long ago."""
+        """Advance, then put the object far below the table."""
         advance(rows, targets, substeps)
         batch.state.bodies[0, OBJECT, [2, 9]] = -200.0, -fall
 
@@ -104,7 +104,7 @@ def test_a_long_fall_past_the_table_is_no_broken_simulation() -> None:
 
 
 def test_a_world_full_of_nan_is_replaced() -> None:
-    """The engine itself breaks, and keeps NaN wherever it can."""
+    """The engine itself breaks and keeps NaN in all its state."""
     env = make_env(2, overrides=QUICK)
     env.reset(0)
     batch = env.worlds.batch

@@ -1,4 +1,4 @@
-"""What the residual action is added to, phase by phase."""
+"""The bias to which the residual action is added, in each phase."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def test_guidance_leads_the_wrist_to_the_labels_wrist_wherever_the_object_is() -
     for name in ("R_WO", "object_pos_W"):
         getattr(state, name)[:] = getattr(moved_state(state_at(labels), T), name)
     target = bias(WristGuidance(ACTION, LAYOUT), state, goal)
-    # A hand with these coordinates has its wrist where the label's is, moved along with the object.
+    # With these coordinates the hand has the label's wrist pose, moved along with the object.
     _, joints = hand().forward(target, state.R_WH0, state.wrist_start_W)
     assert np.abs(joints[:, 0] - [(T @ one.T_WH)[:3, 3] for one in labels]).max() < 1e-12
     assert np.array_equal(target[:, 3:], state.gc[:, 3:])

@@ -1,4 +1,4 @@
-"""The feature layer: its layout, its frames, and what it must not depend on."""
+"""The feature layer: its layout, its frames, and its invariances."""
 
 from __future__ import annotations
 
@@ -112,7 +112,7 @@ def test_without_goal_space_exactly_the_goal_blocks_are_missing(name: str) -> No
     first, second = observe(full, state, goal), observe(bare, state, goal)
     for kept in bare.slices:
         assert np.array_equal(first[:, full.slices[kept]], second[:, bare.slices[kept]])
-    # No other way for the goal to come in.
+    # No other feature depends on the goal.
     assert np.array_equal(second, observe(bare, state, other))
 
 
@@ -153,14 +153,14 @@ def test_blocks_by_hand_with_the_wrist_along_the_axes() -> None:
     assert np.flatnonzero(b["goal_contacts"]).tolist() == [4, 5]
     assert np.flatnonzero(b["achieved_contacts"]).tolist() == [4]
     assert b["contact_impulse"][[0, 4, 9]].tolist() == [0.1, 0.2, 0.3]
-    # From where the object is back to where it was; the wrist's height over a table top of 0.5 m.
+    # From the object's position to its start; the wrist's height above a table top at 0.5 m.
     assert np.allclose(b["object_displacement_H"], [0, -0.1, -0.05], atol=1e-15)
     assert np.allclose(b["table_height_H"], [0, 0, 0.3], atol=1e-15)
     assert b["object_euler_H"].tolist() == [0, 0, 0]
 
 
 def test_blocks_by_hand_with_the_wrist_turned_about_x() -> None:
-    """A quarter turn about x: what points up in the world points along the wrist's y."""
+    """A quarter turn about x: the world's up direction is the wrist's y axis."""
     b = one_of_each(FeatureLayer(EnvConfig(), LAYOUT), np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]]))
     assert np.allclose(b["table_height_H"], [0, 0.3, 0], atol=1e-15)
     assert np.allclose(b["wrist_from_object_H"], [0.3, 0.25, 0.1], atol=1e-15)

@@ -1,4 +1,4 @@
-"""Goals relative to the object, and starts for labels that have none."""
+"""Goals relative to the object, and starts for labels without one."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def test_without_a_start_the_wrist_is_drawn_back_from_the_object() -> None:
         assert np.allclose(drawn, APPROACH_DISTANCE * away / np.linalg.norm(away), atol=1e-12)
         assert np.array_equal(start.T_WH[:3, :3], one.T_WH[:3, :3])
         assert np.array_equal(start.T_WO, one.T_WO)
-        # Fingers of a hand at rest are bent, none straight, and within the limits.
+        # The fingers of a hand at rest are all bent, and within the limits.
         flexion = start.hand_pose.reshape(15, 3)[:12, 2]
         assert flexion.min() > 0.05 and flexion.max() < 1.0
         low, high = free_hand().limits[6:].T
@@ -73,7 +73,7 @@ def test_a_wrist_in_the_objects_centre_goes_up() -> None:
     inside = replace(one, T_WH=one.T_WO.copy(), start=None)
     start = start_pose(inside, free_hand())
     assert np.allclose(start.T_WH[:3, 3] - one.T_WO[:3, 3], [0, 0, APPROACH_DISTANCE], atol=1e-15)
-    # The label itself is not touched.
+    # The label itself is not changed.
     assert np.array_equal(inside.T_WH, one.T_WO)
 
 

@@ -20,7 +20,7 @@ from tests.env.build import actions, box, hand, label, make_env
 
 SHORT = ["env.episode_steps=4", "env.grasp_steps=2"]
 QUICK = ["physics.substeps=2"]
-"""Two substeps a control step, where the physics matters little."""
+"""Two substeps per control step, for tests in which the accuracy of the physics matters little."""
 
 
 @pytest.fixture
@@ -32,7 +32,7 @@ def env(engine: str) -> Iterator[GraspEnv]:
 
 @pytest.fixture
 def targets(monkeypatch: pytest.MonkeyPatch) -> list[Array]:
-    """The PD targets that any hand is given."""
+    """The PD targets given to the hands, recorded."""
     given: list[Array] = []
     advance = LoopBatch.advance
 
@@ -55,7 +55,7 @@ def test_sizes(env: GraspEnv) -> None:
 
 
 def start(env: GraspEnv, epoch: int) -> Array:
-    """What the noise decided: wrist positions, wrist rotations and fingers."""
+    """The quantities that the noise sets: wrist positions, wrist rotations and finger angles."""
     env.reset(epoch)
     n = env.num_envs
     return np.hstack([env.s.wrist_start_W, env.s.R_WH0.reshape(n, 9), env.s.gc])
@@ -148,13 +148,13 @@ def test_episodes_are_truncated_and_restart_at_once() -> None:
     for t in range(4):
         out, expected = env.step(actions(2, t)), longer.step(actions(2, t))
         assert not out.terminated.any() and out.truncated.tolist() == [t == 3] * 2
-    # The observation is the new episode's first; how the old one ended, and its reward, are kept.
+    # The observation is the first of the new episode; the final observation and the reward are those of the old one.
     assert np.array_equal(out.final_observation, expected.observation)
     assert np.array_equal(out.reward, expected.reward)
     assert env.clock.tolist() == [0, 0]
     assert out.observation[:, :6].tolist() == [[0.0] * 6] * 2
     assert np.array_equal(env.s.object_pos_W, env.s.object_start_W)
-    # New noise in every episode, and still the environment's own.
+    # Every episode has new noise, drawn from the environment's own stream.
     second_start = env.s.wrist_start_W.copy()
     assert np.abs(second_start - first_start).max(axis=1).min() > 1e-5
     env.reset(0)
@@ -167,7 +167,7 @@ def test_episodes_are_truncated_and_restart_at_once() -> None:
 
 
 def test_a_truncated_episode_begins_anew_as_after_a_reset() -> None:
-    """Nothing of the old episode is left in the observation that the new one begins with."""
+    """The first observation of the new episode contains nothing of the old one."""
     env = make_env(1, overrides=[*QUICK, *SHORT])
     env.reset(0)
     for t in range(4):
@@ -226,7 +226,7 @@ def test_an_object_that_nobody_holds_falls_when_the_table_goes(engine: str, targ
     # A fall of 0.25 m takes 0.226 s, 7.8 control steps.
     assert contacts[:7] == [False] * 7 and any(contacts[7:])
     assert env.s.object_pos_W[0, 2] == pytest.approx(LOWERED_TOP + 0.0875, abs=0.01)
-    # The action moves the fingers alone now; the wrist is held where it was, with ten times the stiffness.
+    # Now the action moves only the fingers; the wrist is held where it was, with ten times the stiffness.
     assert targets[-1][:6] == pytest.approx(wrist, abs=1e-12)
     env.close()
 

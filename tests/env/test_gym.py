@@ -1,4 +1,4 @@
-"""The Gymnasium face passes Gymnasium's own checker and tells the truth about its autoreset."""
+"""The Gymnasium interface passes Gymnasium's own checker and declares its autoreset correctly."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def env():
 
 def test_gymnasiums_checker_is_satisfied(env):
     with warnings.catch_warnings():
-        # It recommends actions within [-1, 1]; ours are dimensionless residuals without such a bound.
+        # The checker recommends actions within [-1, 1]; ours are dimensionless residuals without such a bound.
         warnings.filterwarnings("ignore", message=".*symmetric and normalized space.*")
         check_env(env.unwrapped)
 
@@ -71,7 +71,7 @@ def test_an_ended_episode_is_still_there_to_be_seen(env):
         before = bare.state.joints_W[0, 0].copy()
         observation, _, terminated, truncated, _ = bare.step(np.zeros(51))
         assert not terminated
-    # A start is centimetres away from where an approach ends.
+    # An approach ends centimetres away from its start, so a small distance shows that no episode has begun.
     assert np.linalg.norm(bare.state.joints_W[0, 0] - before) < 0.005
     assert bare.state.episode_time[0] == 1.0
     assert np.isfinite(observation).all()
@@ -99,7 +99,7 @@ def test_all_environments_act_whatever_an_epoch_of_training_draws():
     venv = GraspVectorEnv(3, overrides=[*FREE, *growing])
     observation, _ = venv.reset(seed=0)
     assert observation.any(axis=1).all()
-    # Nor do episodes lengthen.
+    # Episodes do not lengthen either.
     for _ in range(3):
         for _ in range(62):
             _, _, _, truncated, _ = venv.step(np.zeros((3, 51), np.float32))

@@ -1,4 +1,4 @@
-"""The hold in training episodes: when the table goes, who moves the wrist, how a drop ends it; and drawn labels."""
+"""The hold in training episodes (removal of the table, control of the wrist, end by a drop), and the draw of labels."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def env() -> Iterator[GraspEnv]:
 
 
 def test_the_table_goes_once_in_the_window_and_the_wrist_stays_from_then_on() -> None:
-    # The hands are still far away, and the objects fall; 10 m would end it.
+    # The hands are still far away, so the objects fall; only a drop of 10 m would end the episode.
     env = make(3, [*HOLD, "env.hold.drop=10"])
     rng = np.random.default_rng(0)
     term = env.reward_terms.index("hold")
@@ -42,15 +42,15 @@ def test_the_table_goes_once_in_the_window_and_the_wrist_stays_from_then_on() ->
         assert np.array_equal(env._target[running, :6], np.clip(wrist[running], *env._limits[:, :6]))
         assert np.array_equal(o.reward_terms[:, term], 2.0 * env.s.holding)
         assert env.s.episode_time == pytest.approx((t + 1) / 70) and not o.terminated.any()
-    # Step t is the one that began with t steps done.
+    # Step t is the step that began after t completed steps.
     assert ((gone >= 4) & (gone <= 9)).all() and len(set(gone)) > 1
-    # The fingers still take actions.
+    # The actions still move the fingers.
     assert np.abs(env._target[:, 6:] - env.s.gc[:, 6:]).max() > 1e-3
     env.close()
 
 
 def test_a_dropped_object_ends_the_episode_and_is_no_incident(env: GraspEnv) -> None:
-    """Open hands hold nothing: in free fall 5 cm take 0.1 s, 3.5 control steps, and the episode starts anew."""
+    """Open hands hold nothing: a free fall of 5 cm takes 0.1 s, 3.5 control steps; then the episode restarts."""
     env.reset(1)
     flat = np.zeros((3, 51))
     flat[:, 6:] = -30.0
@@ -59,7 +59,7 @@ def test_a_dropped_object_ends_the_episode_and_is_no_incident(env: GraspEnv) -> 
         o = env.step(flat)
         for i in np.flatnonzero(o.terminated & ~ended):
             assert not o.broken[i] and not o.truncated[i]
-            # The drop itself is not paid.
+            # The step of the drop earns no hold reward.
             assert o.reward_terms[i, env.reward_terms.index("hold")] == 0.0
             assert env.clock[i] == 0 and env.s.table_gone[i] == 0.0
         ended |= o.terminated
@@ -85,13 +85,13 @@ def test_the_same_labels_are_drawn_however_the_set_is_divided() -> None:
         half.reset(epoch)
         assert whole.active.sum() == 3 and np.array_equal(whole.active[1::2], half.active)
         draws.append(tuple(whole.active))
-    # Each is left out in its turn.
+    # Each label is left out in some epoch.
     assert len(set(draws)) == 4
     before = whole.s.gc.copy()
     out = whole.step(np.ones((4, 51)))
     moved = np.abs(whole.s.gc - before).max(axis=1) > 0
     assert np.array_equal(moved, whole.active)
-    # Those that act do and see the same as where nobody rests.
+    # Active environments act and observe the same as in an epoch in which all take part.
     everyone = GraspEnv(spec.labels, spec.hand, spec.objects, make_spec(4, ["env.episode_steps=70"]).config)
     everyone.reset(5)
     other = everyone.step(np.ones((4, 51)))
@@ -99,7 +99,7 @@ def test_the_same_labels_are_drawn_however_the_set_is_divided() -> None:
                          (out.reward_terms, other.reward_terms)):
         assert np.array_equal(mine[whole.active], theirs[whole.active]) and not mine[~whole.active].any()
     everyone.close()
-    # A test takes all of them, and so does an epoch that has grown to them.
+    # A test uses all labels, and so does an epoch that has grown to their number.
     whole.config = make_spec(4, ["labels.per_epoch=3", "labels.doubles_every=2", "env.episode_steps=70"]).config
     whole.reset(2)
     assert whole.active.sum() == 3

@@ -1,4 +1,4 @@
-"""Every term of the reward by hand."""
+"""Every term of the reward, worked out by hand."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ TIP_WEIGHT, JOINT_WEIGHT = 4 * 21 / 36, 21 / 36  # 16 joints and 5 tips that cou
 
 
 def tiny() -> tuple[SceneState, GraspGoal, Relations]:
-    """Two states: one with a round number in every term, one at rest in its goal."""
+    """Two states: one with a round number in every term, one at rest at its goal."""
     s = state_views(2, LAYOUT)
     s.contacts[0, [1, 2, 7]] = 1.0
     s.contact_impulse[0, [1, 2, 7]] = 0.02, 0.03, 0.5

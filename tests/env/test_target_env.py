@@ -1,4 +1,4 @@
-"""The tasks with a target: psi and r_m by hand, what they do not see, who moves what, and how labels are divided."""
+"""The tasks with a target: psi and r_m by hand, their invariances, the control of wrist and fingers, and the pools."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ QUARTER = Rotation.from_rotvec([0, 0, np.pi / 2]).as_matrix()
 
 
 def frozen(outputs: int = 51, bias: float = 0.0, seed: int = 0) -> Actor:
-    """A linear policy of phi with small weights, and a bias."""
+    """A linear policy of phi with small weights and a bias."""
     weight = np.random.default_rng(seed).normal(size=(outputs, 279)).astype(np.float32) / 100
     return Actor(((weight, np.full(outputs, bias, np.float32)),), np.zeros(outputs, np.float32), 0)
 
@@ -93,7 +93,7 @@ def test_flat_sees_phi_and_then_psi_and_goals_of_the_label_can_go() -> None:
     assert np.array_equal(observe(flat, state, goal)[:, :279], observe(phi, state, goal))
     assert np.array_equal(observe(flat, state, goal)[:, 279:], observe(PSI_LAYER, state, goal))
     assert FeatureLayer(EnvConfig(task="motion", goal_space=False), LAYOUT).size == 30
-    # What both hold is there once.
+    # Features that occur in both are included once.
     both = FeatureLayer(EnvConfig(task="flat", features="full_state"), LAYOUT)
     assert both.size == 263 + 30 - len({"wrist_position_W", "wrist_euler_W", "object_position_W", "object_euler_W",
                                         "object_linvel_W", "object_angvel_W"}) * 3  # fmt: skip
@@ -186,7 +186,7 @@ def test_the_frozen_policy_has_the_fingers_and_psi_the_wrist() -> None:
     env = make_env(motion_spec(grasp=frozen(bias=1.0)))
     assert env.action_size == 6 and env.observation_size == 30
     observation = env.reset(0)
-    # A reset of training makes the grasp, and what is paid begins after it.
+    # A training reset makes the grasp; the reward begins after it.
     assert env.clock[0] == 3 and np.isfinite(observation).all()
     before = env.s.gc.copy()
     phi = observe(FeatureLayer(EnvConfig(), LAYOUT), env.s, env.goal).astype(np.float32)
@@ -255,7 +255,7 @@ def test_collecting_is_the_same_to_the_bit_however_the_labels_are_divided(task: 
         for name, array in vars(reference).items():
             assert array.tobytes() == getattr(divided, name).tobytes(), name
         assert reference.truncated[-1].all() and reference.truncated.sum() == 3
-        # What a test shows at the beginning of a motion is the same too.
+        # The observations of a test at the beginning of a motion are the same too.
         shown = []
         path = np.tile(np.eye(4), (3, 1, 1, 1))
         for one in (serial, pool):

@@ -56,9 +56,9 @@ def test_key_points_of_contacts() -> None:
     assert chosen("index_middle") == {"index_middle"}
     assert chosen("thumb_distal", thumb_tip=0.01) == {"thumb_tip"}
     assert chosen("thumb_distal", thumb_tip=0.01, thumb_distal=0.014) == {"thumb_tip", "thumb_distal"}
-    # None is within 15 mm: the closer one.
+    # If none is within 15 mm, the closer one is chosen.
     assert chosen("ring_distal", ring_tip=0.03, ring_distal=0.02) == {"ring_distal"}
-    # What is near without being a goal stays out.
+    # A key point that is near but belongs to no goal contact is not chosen.
     assert chosen("index_middle", little_tip=0.001) == {"index_middle"}
 
 
@@ -75,7 +75,7 @@ def test_a_fingertip_inside_or_outside_comes_to_the_surface(objects: dict[str, B
     assert abs(x[tip, 0] - 0.03) < 0.5 * abs(depth)
     others = [i for i in range(21) if not KEYPOINTS[i].startswith("index")]
     assert np.abs(x[others] - place[0, others]).max() < 2e-3
-    # Pose, wrist and key points tell of one hand; what is not the hand's stays.
+    # Pose, wrist and key points agree with each other; the label's other fields do not change.
     gc = np.zeros((1, 51))
     gc[0, 6:] = after.hand_pose
     _, joints = free_hand().forward(gc, after.T_WH[None, :3, :3], after.T_WH[None, :3, 3])

@@ -1,4 +1,4 @@
-"""What each method says of itself, and that the rest of the program goes by it."""
+"""The properties that each method declares, and that the rest of the program follows them."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def test_what_a_method_is_for(
     config = CONFIG.model_copy(update={"env": CONFIG.env.model_copy(update={"task": task})})
     made.check(config)
     other = "flat" if task == "motion" else "motion"
-    with pytest.raises(ConfigError, match=f"{name} is of task {task}, and the config of env.task={other}; expected"):
+    with pytest.raises(ConfigError, match=f"{name} is for task {task}, but the config has env.task={other}; expected"):
         made.check(config.model_copy(update={"env": config.env.model_copy(update={"task": other})}))
     if motion == "never":
         with pytest.raises(ConfigError, match=f"{name} holds a pose and moves nothing"):
@@ -104,7 +104,7 @@ def test_what_a_method_takes_its_policy_from() -> None:
             with pytest.raises(ConfigError) as said:
                 kind.check_policy(given)
             own = name in ("flat_rl", "learned_motion")
-            assert ("is a policy of its own" if own else "what to test: expected one of") in str(said.value)
+            assert ("needs a policy trained for it" if own else "what to test: expected one of") in str(said.value)
     assert PolicyMethod.make(MADE["flat_rl"], "a.pt") is MADE["flat_rl"]
     assert FlatRl.make(MADE["flat_rl"], "a.pt") is MADE["flat_rl"]
     command = r"python train.py --cfg cfg/learned_motion.yaml motion.policy=FILE.pt"
@@ -150,7 +150,7 @@ def test_only_gt_ik_changes_the_labels(capsys: pytest.CaptureFixture[str]) -> No
 
 
 class Half(PdBaseline):
-    """A method that is made here alone: it takes every second label, holds its fingers and moves objects."""
+    """A method defined only here: it takes every second label, holds its fingers still and moves objects."""
 
     name = "half"
     motion = "may"

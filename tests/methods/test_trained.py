@@ -1,4 +1,4 @@
-"""What the trained baselines take from files, and the paper's numbers for them."""
+"""The files that the trained baselines read, and the paper's numbers for them."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def test_a_policy_in_plain_numpy_is_the_same_policy() -> None:
     made = policy()
     observation = np.random.default_rng(0).normal(size=(5, 9)).astype(np.float32)
     assert FrozenGrasp(made.arrays()).act(observation) == pytest.approx(made.act(observation), abs=1e-5)
-    # It does not see what the critic alone does.
+    # The policy does not see the observations that are for the critic only.
     frozen = FrozenGrasp(made.arrays())
     assert np.array_equal(frozen.act(observation[:, :7]), frozen.act(observation))
 

@@ -17,11 +17,11 @@ def test_costs_are_seconds_per_step_and_the_mean_where_nothing_is_known() -> Non
 
 
 def test_each_stretch_costs_the_same() -> None:
-    # Four mugs of 5 and ten cans of 1 are 30: half is three mugs, and then a mug and the cans.
+    # Four mugs of cost 5 and ten cans of cost 1 are 30: one half is three mugs, the other a mug and the cans.
     cost = np.array([5.0] * 4 + [1.0] * 10)
     assert stretches(cost, 2) == [slice(0, 3), slice(3, 14)]
     assert imbalance(cost, stretches(cost, 2)) == 0.0
-    # Every other one: 2 x 5 + 5 each by luck; by odd numbers of mugs, 15 + 5 against 5 + 5.
+    # Alternating environments put both mugs on one worker: 10 against 2, with a mean of 6.
     assert imbalance(np.array([5.0, 1.0, 5.0, 1.0]), [slice(0, 4, 2), slice(1, 4, 2)]) == pytest.approx(10 / 6 - 1)
 
 
@@ -40,7 +40,7 @@ def test_a_division_by_cost_changes_no_bit(monkeypatch: pytest.MonkeyPatch, engi
     pool = ProcessPool(make_spec(3, ["env.episode_steps=65", f"engine={engine}"]), 2)
     try:
         before = {k: v.copy() for k, v in vars(pool.collect(actor, 2, 65, lambda n: None)).items()}
-        # The first label is told to have cost as much as the other two.
+        # Pretend that the first label has cost as much as the other two together.
         told = pool._listen()
         pool._spent[:] = [[2e6, 1e6, 1e6], [100, 100, 100]]
         monkeypatch.setattr(pool, "_listen", lambda: told)

@@ -1,4 +1,4 @@
-"""The process pool is held equal to the serial one, to the bit, however the labels are divided."""
+"""The process pool equals the serial one, to the bit, for any division of the labels."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ STEPS = 6
 
 
 def _run(pool, mode="train"):
-    """Everything that a pool says over a few random steps, with the table taken away in between."""
+    """All results of a pool over a few random steps; in a test, the table is taken away halfway."""
     rng = np.random.default_rng(7)
     said = [pool.reset(3, mode).copy()]
     for t in range(STEPS):
@@ -95,7 +95,7 @@ def test_an_interrupted_collection_leaves_the_pool_usable(serial):
 
 @dataclass(frozen=True)
 class _Mortal(Actor):
-    """Strikes the process that acts for one environment with a signal, after twenty of its control steps."""
+    """Sends a signal to the process that acts for a single environment, in its 20th control step."""
 
     how: int
     acted: list[int] = field(default_factory=list)
@@ -110,7 +110,7 @@ class _Mortal(Actor):
 
 @pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGSTOP])
 def test_a_lost_worker_is_replaced_and_its_experience_dropped(serial, how):
-    """Killed, or stopped so that it hangs: the other worker's experience is what it would have been anyway."""
+    """One worker is killed, or stopped so that it hangs; the experience of the other worker does not change."""
     reference = {k: v.copy() for k, v in vars(serial.collect(_actor(), 4, 70, lambda n: None)).items()}
     pool = ProcessPool(make_spec(3, ["env.episode_steps=70", "pool.hang_s=4"]), 2)
     try:
@@ -143,7 +143,7 @@ def test_a_worker_lost_between_steps_says_so_and_is_there_again(serial):
 
 
 def test_losses_with_successes_in_between_are_not_in_a_row():
-    """Three of them, as in a long test; what was done in between may be steps alone."""
+    """Three losses, as in a long test, with only resets and steps in between."""
     pool = ProcessPool(make_spec(1, ["env.episode_steps=70"]), 1)
     try:
         for _ in range(3):
@@ -160,7 +160,7 @@ def test_losses_with_successes_in_between_are_not_in_a_row():
 def test_a_worker_that_never_lives_is_given_up(monkeypatch):
     pool = ProcessPool(make_spec(2), 2)
     try:
-        # Whatever is started from now on dies at once.
+        # Every worker started from now on dies at once.
         monkeypatch.setattr("dgrasp.pool.process.work", os._exit)
         os.kill(pool._members[0].process.pid, signal.SIGKILL)
         with pytest.raises(PoolError, match="worker 0 was lost 3 times in a row"):
@@ -170,12 +170,12 @@ def test_a_worker_that_never_lives_is_given_up(monkeypatch):
 
 
 def test_a_broken_episode_can_be_played_again(monkeypatch):
-    """An explosion in the middle of an epoch leaves the seed, the epoch and the actions that lead to it."""
+    """An explosion in the middle of an epoch leaves an incident with the epoch and the actions that led to it."""
     pool = SerialPool(make_spec(2, ["env.episode_steps=70"]))
     seen, steps = [], 0
 
     def explode(worlds):
-        # The second world, once, in the 20th control step that is judged.
+        # Report an explosion of the second world once, in the 20th control step that is checked.
         nonlocal steps
         steps += 1
         if steps == 20:

@@ -1,4 +1,4 @@
-"""The pool on a Ray cluster: held equal to the serial one to the bit, and whole when workers die."""
+"""The pool on a Ray cluster: equal to the serial one to the bit, and complete again after workers die."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ QUICK = ["env.episode_steps=65", "physics.substeps=2", "pool.kind=ray", "pool.wo
 
 @pytest.fixture(scope="module")
 def cluster() -> Iterator[str]:
-    """The address of a cluster of two nodes with a core each, on this machine."""
+    """The address of a cluster of two nodes, with one core each, on this machine."""
     from ray.cluster_utils import Cluster
 
     os.environ.update({"RAY_USAGE_STATS_ENABLED": "0", "RAY_worker_niceness": "0"})
@@ -55,12 +55,12 @@ def _collected(pool: Any, epoch: int) -> dict[str, Array]:
 def test_a_cluster_gives_what_one_process_gives(
     cluster: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    # Workers import for longer than that; on a busy cluster nobody is to wait without a word.
+    # The workers' imports take longer than this, so the message that tells the user about the waiting appears.
     monkeypatch.setattr("dgrasp.pool.ray._SAY_AFTER_S", 0.0)
     serial, pool = SerialPool(make_spec(3, QUICK)), make_pool(make_spec(3, QUICK))
     assert "waiting for 2 of 2 workers" in capsys.readouterr().err
     nodes = {ray.get(member.process_id.remote()) for member in pool._members}  # type: ignore[attr-defined]
-    assert len(nodes) == 2, "one worker per node, for each has one core"
+    assert len(nodes) == 2, "one worker per node, because each has one core"
     theirs, ours = _collected(serial, 5), _collected(pool, 5)
     for name, array in theirs.items():
         assert array.tobytes() == ours[name].tobytes(), name
@@ -81,7 +81,7 @@ def test_a_cluster_gives_what_one_process_gives(
 
 
 def test_a_test_reports_unstable_simulations_and_the_time_in_the_engine(cluster: str) -> None:
-    """As the process pool does: from steps and phases of a test too, not from collections alone."""
+    """As in the process pool, reports also come from the steps and phases of a test, not only from collections."""
     serial, pool = SerialPool(make_spec(3, QUICK)), make_pool(make_spec(3, QUICK))
     for one in (serial, pool):
         one.reset(3, "test")
@@ -96,7 +96,7 @@ def test_a_test_reports_unstable_simulations_and_the_time_in_the_engine(cluster:
     assert pool.drain_events() == []
     timing = pool.timing()
     assert 0.0 < timing["physics_s"] < timing["wall_s"] * timing["workers"] and 0.0 < timing["physics_share"] < 1.0
-    # Another reset counts anew, and twice nothing.
+    # Another reset restarts the count, and no time is counted twice.
     before = timing["physics_s"]
     pool.reset(3, "test")
     assert pool.timing()["physics_s"] < before
@@ -153,14 +153,14 @@ def test_a_late_worker_is_left_behind_and_comes_back(cluster: str) -> None:
 
 
 def test_more_workers_than_the_cluster_has_cores_are_refused(cluster: str) -> None:
-    with pytest.raises(ConfigError, match=r"pool\.workers: 3 workers take a CPU each, and the Ray cluster has 2"):
+    with pytest.raises(ConfigError, match=r"pool\.workers: 3 workers need one CPU each, but the Ray cluster has 2"):
         make_pool(make_spec(3, [*QUICK, "pool.workers=3"]))
-    # One worker per label at most: two of these do not exist.
+    # There is at most one worker per label, so only one of these three is made.
     make_pool(make_spec(1, [*QUICK, "pool.workers=3"])).close()
 
 
 def test_a_pool_that_cannot_start_leaves_nothing_behind(cluster: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Not its workers, and not the cluster that it started for itself."""
+    """It ends its workers and the cluster that it started for itself."""
     members: list[Any] = []
     shut: list[str] = []
     ready = RayPool._await_ready
@@ -179,7 +179,7 @@ def test_a_pool_that_cannot_start_leaves_nothing_behind(cluster: str, monkeypatc
     assert shut == ["shutdown"] and len(members) == 2
     for member in members:
         with pytest.raises(ray.exceptions.RayActorError):
-            # Ray ends a worker in its own time; until then it answers.
+            # Ray ends a worker with some delay; until then the worker answers.
             for _ in range(600):
                 ray.get(member.process_id.remote(), timeout=60)
                 time.sleep(0.1)

@@ -1,4 +1,4 @@
-"""Checkpoints: what is written comes back; nothing else is accepted."""
+"""Checkpoints: a written checkpoint reads back unchanged; anything else is refused."""
 
 from __future__ import annotations
 

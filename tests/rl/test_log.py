@@ -1,4 +1,4 @@
-"""What a run writes down, read back."""
+"""The log of a run, read back."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ def test_scalars(run_dir: Path) -> None:
     assert wanted <= tags
     assert [event.step for event in events.Scalars("train/return")] == [1, 2, 3, 4]
     assert [(event.step, event.value) for event in events.Scalars("eval/success")] == [(0, 0.75), (2, 0.75), (4, 0.75)]
-    # The reward is the sum of its terms, and so is the return.
+    # The reward is the sum of its terms, so the return is the sum of the logged terms.
     terms = [events.Scalars(f"reward/{term}")[1].value for term in ToyEnv.reward_terms]
     assert events.Scalars("train/return")[1].value == pytest.approx(sum(terms), rel=1e-5)
     # Epochs of 10 steps hold one end of an episode of 7 steps per environment.
@@ -127,7 +127,7 @@ def test_resumed_csv_keeps_its_columns_and_its_clock(tmp_path: Path) -> None:
         log.epoch(3, {"train/return": -0.5, "reward/b": 7.0})
     lines = (tmp_path / "progress.csv").read_text().splitlines()
     assert lines[0].startswith(header.strip() + ",core_hours,") and len(lines) == 4
-    # The rows before have nothing in the columns that are new.
+    # Earlier rows are empty in new columns.
     assert [line.rstrip(",") for line in lines[1:3]] == ["1,80,100.0,-1,2", "2,160,200.0,-1,2"]
     assert {line.count(",") for line in lines} == {lines[0].count(",")}
     row = dict(zip(lines[0].split(","), lines[3].split(","), strict=True))
@@ -137,7 +137,7 @@ def test_resumed_csv_keeps_its_columns_and_its_clock(tmp_path: Path) -> None:
 
 def test_a_run_that_is_resumed_with_a_further_reward_term_logs_it(tmp_path: Path) -> None:
     class Further(ToyEnv):
-        """With a third term, which is always 0.5."""
+        """A toy with a third reward term, which is always 0.5."""
 
         reward_terms = (*ToyEnv.reward_terms, "patience")  # type: ignore[assignment]
 
@@ -153,7 +153,7 @@ def test_a_run_that_is_resumed_with_a_further_reward_term_logs_it(tmp_path: Path
     assert list(rows[0]) == [*header.split(","), "patience"]
     # 0.5 in each of an epoch's 10 steps.
     assert [row["patience"] for row in rows] == ["", "", "5", "5"] and all(row["contact_reward"] for row in rows)
-    # A further resume keeps what is there.
+    # A second resume keeps the present columns.
     Runner(ToyEnv(), toy_config(epochs=5), tmp_path, {}, resume=True).learn()
     with open(tmp_path / "progress.csv", encoding="utf-8") as stream:
         again = list(csv.DictReader(stream))
@@ -169,13 +169,13 @@ def test_incidents_that_come_again_are_written_once(tmp_path: Path) -> None:
 
 
 def test_success_stands_over_its_cost(tmp_path: Path) -> None:
-    """A resumed run keeps the points before it, though TensorBoard hides all whose step is beyond the epoch."""
+    """A resumed run keeps the earlier points, although TensorBoard hides those whose step exceeds the epoch."""
     with _log(tmp_path) as log:
         for epoch in (1, 2, 3):
             log.epoch(epoch, {"eval/success": epoch / 10, "speed/workers": 4.0})
     with open(tmp_path / "progress.csv", encoding="utf-8") as stream:
         rows = list(csv.DictReader(stream))
-    # Four workers' cores for as long as the run took.
+    # Core hours: four workers times the duration of the run.
     assert float(rows[-1]["core_hours"]) == pytest.approx(4 * float(rows[-1]["seconds"]) / 3600, abs=1.2e-4)
     with _log(tmp_path, resumed=2) as log:
         log.epoch(3, {"eval/success": 0.5, "speed/workers": 1.0})

@@ -1,4 +1,4 @@
-"""Networks: sizes, initialisation, densities, the numpy face."""
+"""Networks: sizes, initialisation, densities, and the actor in numpy."""
 
 from __future__ import annotations
 
@@ -77,12 +77,12 @@ def test_the_actor_in_numpy_is_the_same_policy() -> None:
     means = np.empty((7, 3), np.float32)
     actor.means(observation, means)
     assert means == pytest.approx(model.policy().act(observation), abs=1e-6)
-    # A row's bits do not depend on its company.
+    # The result for a row does not depend on the other rows, to the bit.
     for i in range(7):
         alone = np.empty((1, 3), np.float32)
         actor.means(observation[i : i + 1], alone)
         assert np.array_equal(alone[0], means[i])
-    # It is a copy: the learner's next step does not change it.
+    # The actor is a copy: the learner's next step does not change it.
     with torch.no_grad():
         model.std.zero_()
     assert actor.std.tolist() == [1.0, 1.0, 1.0]
@@ -96,7 +96,7 @@ def test_the_actor_s_noise_is_standard_normal_and_its_own_per_environment_and_ep
     assert np.array_equal(noise[5], actor.noise(2, 5, 195))
     streams = [noise[5], noise[6], actor.noise(3, 5, 195), _model().actor_arrays(seed=2).noise(2, 5, 195)]
     assert len({stream.tobytes() for stream in streams}) == 4
-    # The environments draw their own from default_rng([seed, epoch, index]).
+    # The environments draw their own noise from default_rng([seed, epoch, index]).
     plain = np.random.default_rng([1, 2, 5]).standard_normal((195, 3), dtype=np.float32)
     assert not np.array_equal(noise[5], plain)
 
@@ -140,7 +140,7 @@ def test_a_new_unit_of_the_returns_leaves_the_values_as_they_are() -> None:
     model.rescale_returns(torch.tensor(-30.0), torch.tensor(12.0))
     model.rescale_returns(torch.tensor(5.0), torch.tensor(0.5))
     assert torch.allclose(model.value(observation), before, atol=1e-4)
-    # What the network itself says is (V - 5) / 0.5.
+    # The output of the network itself is (V - 5) / 0.5.
     assert torch.allclose(model.critic(observation).squeeze(-1), (before - 5.0) / 0.5, atol=1e-3)
 
 
@@ -151,10 +151,10 @@ def test_the_actor_does_not_see_what_is_the_critic_s() -> None:
     other[:, 7:] += 1.0
     assert torch.equal(model.mean_action(observation), model.mean_action(other))
     assert not torch.equal(model.value(observation), model.value(other))
-    # Some processors round a product otherwise when the rows of a matrix lie apart in memory.
+    # Some processors round a product differently if the rows of a matrix are not contiguous in memory.
     assert model.policy().act(other.numpy()) == pytest.approx(model.mean_action(observation).numpy(), abs=1e-6)
     means = np.empty((2, 3), np.float32)
     model.actor_arrays(1).means(other.numpy(), means)
     assert means == pytest.approx(model.mean_action(observation).numpy(), abs=1e-6)
-    # A last layer of gain 0.01 begins near zero: orthonormal rows, times 0.01.
+    # A last layer of gain 0.01 starts near zero: orthonormal rows times 0.01.
     assert torch.linalg.matrix_norm(model.actor[-1].weight, 2).item() == pytest.approx(0.01, rel=1e-4)

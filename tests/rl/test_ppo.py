@@ -17,7 +17,7 @@ from dgrasp.rl.storage import Rollout
 
 
 def test_surrogate_loss_by_hand() -> None:
-    # clip 0.2: the ratio is kept in 0.8 .. 1.2, and the smaller of the two products counts.
+    # clip 0.2: the ratio is clamped to 0.8 .. 1.2, and the smaller of the two products counts.
     #   ratio 1.5, A  1:  min( 1.5,  1.2) =  1.2      ratio 1.5, A -1: min(-1.5, -1.2) = -1.5
     #   ratio 0.5, A  1:  min( 0.5,  0.8) =  0.5      ratio 0.5, A -1: min(-0.5, -0.8) = -0.8
     #   ratio 1.1, A  2:  min( 2.2,  2.2) =  2.2
@@ -127,7 +127,7 @@ def test_update_makes_rewarded_actions_likelier() -> None:
 def test_std_never_ends_below_the_floor() -> None:
     ppo, rollout = _setup(initial_std=0.21, min_std=0.2, entropy_coefficient=-10.0, adaptive_learning_rate=False)
     ppo.update(rollout, torch.Generator().manual_seed(0))
-    # A price on entropy pushes every std down by about the learning rate (5e-4) at each of 16 steps.
+    # A penalty on entropy lowers every std by about the learning rate (5e-4) at each of 16 steps.
     assert ppo.model.std.min().item() == pytest.approx(0.21 - 16 * 5e-4, abs=5e-4)
     for _ in range(3):
         ppo.update(rollout, torch.Generator().manual_seed(0))
@@ -190,7 +190,7 @@ def test_normalised_returns_follow_the_rollouts() -> None:
     ppo._track_returns(rollout.returns)
     assert ppo.model.return_scale.tolist() == pytest.approx([mean, std], rel=1e-4)
     assert torch.allclose(ppo.model.value(rollout.observations[0]), before, atol=1e-4)
-    # Later epochs count a tenth: mean + 0.1 (10 + mean - mean), and the variance is the same.
+    # Later epochs have a weight of 0.1: mean + 0.1 (10 + mean - mean); the variance does not change.
     ppo._track_returns(rollout.returns + 10.0)
     assert ppo.model.return_scale.tolist() == pytest.approx([mean + 1.0, std], rel=1e-4)
 
@@ -211,7 +211,7 @@ def test_separate_clipping_limits_each_gradient_by_itself() -> None:
 
 
 def test_nothing_of_the_learner_is_on_another_device(monkeypatch: pytest.MonkeyPatch) -> None:
-    # The meta device has shapes and no numbers, and refuses to be mixed with the CPU's tensors, as a GPU does.
+    # Tensors on the meta device have shapes but no numbers. Like those on a GPU, they cannot be mixed with CPU tensors.
     item, cpu = torch.Tensor.item, torch.Tensor.cpu
     on_meta = lambda tensor: tensor.device.type == "meta"  # noqa: E731
     monkeypatch.setattr(torch.Tensor, "item", lambda self: 0.01 if on_meta(self) else item(self))

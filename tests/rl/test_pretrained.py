@@ -1,4 +1,4 @@
-"""The policy that ships: of the set that ships, small, and better than PD control where no training has been."""
+"""The shipped policy: trained on the shipped set, small, and better than PD control on labels not used in training."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from dgrasp.rl.run.weights import read_weights
 
 
 def test_it_was_trained_on_the_set_that_ships() -> None:
-    """Who makes hand or labels anew has to train anew."""
+    """If the shipped hand or labels change, the policy must be trained again."""
     file = data_root() / PRETRAINED_FILE
     assert file.stat().st_size <= 5 * 2**20
     _, about = read_weights(file)
@@ -26,7 +26,7 @@ def test_it_was_trained_on_the_set_that_ships() -> None:
 
 
 def test_it_holds_what_pd_control_drops(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Test labels of three objects, in a second and a half without a table."""
+    """Test labels of three objects, held for 1.5 s without a table."""
     objects = "labels.objects=[003_cracker_box, 008_pudding_box, 010_potted_meat_can]"
     words = ["--data", "free", "--split", "test", "--window", "1.5", objects, "labels.limit_per_object=3",
              "eval.interpenetration=false"]  # fmt: skip
@@ -35,7 +35,7 @@ def test_it_holds_what_pd_control_drops(tmp_path: Path, capsys: pytest.CaptureFi
         file = tmp_path / f"{name}.json"
         assert run_command("test", [*method, *words, "--json", str(file)]) == 0
         result = json.loads(file.read_text())
-        # Trained on MuJoCo, which not everybody has.
+        # The policy was trained on MuJoCo, which is optional; the test runs on PyBullet.
         assert result["engine"] == "pybullet"
         success[name] = result["mean_over_labels"]["success"]
     capsys.readouterr()

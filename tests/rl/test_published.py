@@ -30,7 +30,7 @@ def test_against_plain_numpy(name: str) -> None:
     policy = load_published_actor(path)
     actions = policy.act(observation)
     assert actions.shape == (120, 51) and actions.dtype == np.float32
-    # float64 inside: only the rounding of the result to float32 is left.
+    # The policy computes in float64, so the only error is the rounding of the result to float32.
     assert np.allclose(actions, hidden, rtol=2e-7, atol=1e-9)
 
 

@@ -1,4 +1,4 @@
-"""Training on a toy: it learns, repeats to the bit, stops and goes on."""
+"""Training on a toy: it learns, repeats to the bit, and can be stopped and resumed."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from dgrasp.rl.runner import Interrupted, Runner, epoch_generator
 from tests.rl.toy import ToyEnv, assert_same, last, rows_of, run, toy_config
 
 TIMES = ("seconds", "core_hours", "steps_per_second", "update_share")
-"""What a log holds that differs from run to run."""
+"""Columns of the log that differ from run to run."""
 
 
 def _success(policy: Policy) -> dict[str, Any]:
@@ -242,8 +242,8 @@ def test_numbers_that_are_not_finite_are_refused(tmp_path: Path, name: str, valu
 
 
 def test_truncation_and_termination_reach_the_advantages(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    # Environment 0 is terminated and environment 1 truncated by the last of 2 steps, by hand; the others go
-    # on. With lam = 0, A = r + gamma V' - V, where V' is 0, V(final observation), V(next observation).
+    # The last of 2 steps is made to terminate environment 0 and truncate environment 1; the others continue.
+    # With lam = 0, A = r + gamma V' - V, where V' is 0, V(final observation), V(next observation).
     def end(env: ToyEnv, epoch: int, step: int) -> None:
         if step == 2:
             env.terminated[0], env.truncated[1] = True, True

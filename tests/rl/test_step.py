@@ -1,4 +1,4 @@
-"""The arrays that a step returns: one declaration, from which memory is laid out and rows are written."""
+"""The arrays of a step: one declaration gives the layout of the memory and the rows that are written."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def test_a_part_is_written_into_its_rows_alone() -> None:
 
 
 def test_the_arrays_of_a_step_cannot_be_exchanged() -> None:
-    """They may lie in shared memory, where others look for them."""
+    """The arrays may lie in shared memory, where other processes read them."""
     with pytest.raises(FrozenInstanceError):
         Step.allocate(1, 1, 1).reward = np.zeros(1)  # type: ignore[misc]
 

@@ -1,4 +1,4 @@
-"""Control steps of a run: limited, and counted as they were made, also by epochs that grow or a resumed run."""
+"""Control steps of a run: their limit and their count, also with growing epochs and resumed runs."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def test_control_steps_are_limited(tmp_path: Path) -> None:
     assert last(tmp_path / "a").epoch == 4
     run(tmp_path / "b", toy_config(epochs=9, max_steps=1))
     assert last(tmp_path / "b").epoch == 1
-    # What lists runs knows of it, from what the learner planned or, where that is lost, from the config.
+    # `read_run` knows the number of epochs from the learner's plan or, if that is lost, from the config.
     for name, epochs in (("a", 4), ("b", 1)):
         assert read_run(tmp_path / name).epochs == epochs and read_run(tmp_path / name).complete
         (tmp_path / name / PLAN_NAME).unlink()
@@ -39,7 +39,7 @@ def test_control_steps_count_what_was_made_before_a_resume_with_other_epochs(tmp
     runner = run(tmp_path, config, resume=True)
     assert runner.last_epoch == 4
     assert [row["control_steps"] for row in rows_of(tmp_path)][-3:] == ["160", "272", "384"]
-    # What it was resumed with is what the run's files say, and so what a test of it takes.
+    # The run's files hold the config with which it was resumed, so a test of the run uses that config.
     assert load_config(tmp_path / "config.yaml") == config
     assert json.loads((tmp_path / "data.json").read_text()) == {"hand": "toy"}
 
@@ -75,6 +75,6 @@ def test_epochs_that_grow_are_counted_as_they_are(tmp_path: Path) -> None:
     longer = config.model_copy(update={"env": config.env.model_copy(update={"lengthens_by": 5})})
     run(tmp_path / "c", longer)
     assert [row["control_steps"] for row in rows_of(tmp_path / "c")] == ["20", "40", "100", "160", "320"]
-    # What an older version wrote no log of is counted from the config.
+    # Without a log, as in runs of older versions, the steps are counted from the config.
     (tmp_path / "b" / "progress.csv").unlink()
     assert Runner(ToyEnv(), config, tmp_path / "b", {"hand": "toy"}, None, True)._resumed_steps == 200

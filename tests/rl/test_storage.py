@@ -13,7 +13,7 @@ CPU = torch.device("cpu")
 
 
 class _Model:
-    """Says of an observation its own value, and of an action nothing."""
+    """A model whose value of an observation is the observation itself, and which ignores actions."""
 
     def evaluate(self, observation: torch.Tensor, action: torch.Tensor) -> Evaluated:
         return Evaluated(torch.zeros(len(action)), self.value(observation), action, action[0], torch.zeros(()))
@@ -46,7 +46,7 @@ def test_environments_that_were_lost_are_left_out() -> None:
 
 
 def _filled() -> Rollout:
-    """Two environments, three steps: environment 0 is terminated by step 1, environment 1 truncated by it."""
+    """Two environments, three steps: step 1 terminates environment 0 and truncates environment 1."""
     rollout = Rollout(CPU)
     t = Trajectories.allocate(3, 2, 1, 1, 1, 2)
     t.reward[:] = [[1.0, 0.0], [2.0, 1.0], [3.0, 2.0]]
@@ -54,7 +54,7 @@ def _filled() -> Rollout:
     t.terminated[1, 0] = t.truncated[1, 1] = True
     t.last_observation[:, 0] = [6.0, 4.0]
     t.valid[:] = True
-    t.final_observations[0, :, 0] = [100.0, 8.0]  # environment 0 has no truncated episode: not to be used
+    t.final_observations[0, :, 0] = [100.0, 8.0]  # environment 0 has no truncated episode: unused
     rollout.load(t, _Model())  # type: ignore[arg-type]
     return rollout
 

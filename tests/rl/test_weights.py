@@ -1,4 +1,4 @@
-"""Policies to give away: the same actions as the checkpoint's, no path of a machine, and nothing but weights read."""
+"""Shared policies: the same actions as the checkpoint's, no path of a machine, and only weights are read."""
 
 from __future__ import annotations
 
@@ -52,9 +52,9 @@ def test_the_same_actions_and_no_paths(tmp_path: Path) -> None:
         (None, {"x": torch.ones(2)}, "not a policy"),
         ({"format": "dgrasp-policy", "schema": "9"}, {}, "not a policy"),
         ({"about": "{"}, {}, "damaged"),
-        ({"about": "[]"}, {}, "does not say"),
-        ({"about": '{"architecture": {"hidden": [-1]}, "config": {}}'}, {}, "does not say"),
-        ({}, {"actor.0.weight": torch.ones(5, 5)}, "not those of layers"),
+        ({"about": "[]"}, {}, "does not describe"),
+        ({"about": '{"architecture": {"hidden": [-1]}, "config": {}}'}, {}, "does not describe"),
+        ({}, {"actor.0.weight": torch.ones(5, 5)}, "do not match layers"),
         ({}, {"actor.4.bias": torch.full((3,), torch.nan)}, "finite"),
         ({}, {"actor.4.bias": torch.ones(3, dtype=torch.float64)}, "finite"),
     ],
@@ -92,7 +92,7 @@ def test_damaged_files_are_refused_or_sound(tmp_path: Path) -> None:
 def test_from_a_run_to_a_result(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """A policy brings its own features; told others, it is refused."""
+    """A policy comes with its own features; a config with other features is refused."""
     data = make_folder(tmp_path / "free")
     words = ["--data", str(data), *SHORT]
     run, weights = tmp_path / "run", tmp_path / "mine.safetensors"

@@ -1,4 +1,4 @@
-"""A toy set of environments, a point on a line per action that is to reach a target; and runs of it."""
+"""A toy set of environments, in which a point on a line per action must reach a target, and training runs on it."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ LIMIT = 4.0
 
 
 class ToyEnv:
-    """Observation: offset to the target and position; reward: minus the distance, minus a small price of effort.
+    """Observation: offset to the target and position. Reward: minus the distance, minus a small penalty on effort.
 
     An episode is terminated beyond LIMIT and truncated after `episode_steps`. All arrays are reused from
-    call to call. `on_step(epoch, step)` may break things.
+    call to call. `on_step(env, epoch, step)` may inject faults.
     """
 
     reward_terms = ("contact_reward", "effort")

@@ -1,4 +1,4 @@
-"""Checkpoints of a training run: written atomically, read as untrusted input."""
+"""Checkpoints of a training run. They are written atomically and read as untrusted input."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ _TYPES: dict[str, tuple[type, ...]] = {
 class Checkpoint:
     """The state of a training run after `epoch` completed epochs.
 
-    Every epoch draws its randomness from (seed, epoch), so no random state belongs to it.
+    A checkpoint needs no random state, because every epoch derives its randomness from (seed, epoch).
     model: state of the `ActorCritic`. optimizer: state of its Adam. config, data: the experiment's config
     and data stamp as plain values. code: version of the package. best_success: best evaluation so far.
     """
@@ -68,7 +68,7 @@ def save(run_dir: Path, checkpoint: Checkpoint) -> Path:
 
 
 def save_best(run_dir: Path, checkpoint: Checkpoint) -> Path:
-    """Write `best.pt` in the run directory, over the one that was best before."""
+    """Write `best.pt` in the run directory, replacing the previous one."""
     return _write(run_dir / BEST, checkpoint)
 
 
@@ -81,16 +81,16 @@ def _write(path: Path, checkpoint: Checkpoint) -> Path:
 
 
 def _sealed(archive: bytes) -> bytes:
-    """The zip archive with the SHA-256 of its bytes as its comment, the last thing in the file."""
-    # The two bytes before the comment are its length; the digest covers them.
+    """The zip archive with the SHA-256 of its bytes as the archive comment, at the end of the file."""
+    # The two bytes before the comment hold its length; the digest covers them.
     body = archive[:-2] + _SEAL_SIZE.to_bytes(2, "little")
     return body + _SEAL + hashlib.sha256(body).hexdigest().encode()
 
 
 def _is_whole(content: bytes) -> bool:
-    """Whether the checksums of a torch file match: its seal, or the zip archive's own where it has none.
+    """Whether the checksums of a torch file match: its seal, or the zip archive's own checksums if it has no seal.
 
-    torch itself checks neither. The archive's own do not cover its directory, hence the seal.
+    torch itself checks neither. The seal exists because the archive's own checksums do not cover its directory.
     """
     if not (content[-22:].startswith(b"PK\5\6") and content.endswith(b"\0\0")):  # an archive with a comment
         return _sealed(content[:-_SEAL_SIZE]) == content
@@ -115,17 +115,17 @@ def latest(run_dir: Path) -> Path:
 
 
 def prune(run_dir: Path, keep: int) -> None:
-    """Remove all but the newest `keep` checkpoints, and what a killed run left half-written."""
+    """Remove all checkpoints except the newest `keep`, and the half-written files of a killed run."""
     for path in [*saved(run_dir)[:-keep], *(run_dir / FOLDER).glob(TEMPORARY)]:
         with contextlib.suppress(OSError):
             path.unlink()
 
 
 def read_torch_file(path: Path, what: str) -> Any:
-    """The content of a file written by torch.save, its tensors on the CPU.
+    """The content of a file written by torch.save, with its tensors on the CPU.
 
-    Only tensors and plain values are accepted. what: names the expected content in the `DataError` raised
-    for anything else, and for a file whose checksums do not match.
+    Only tensors and plain values are accepted. Anything else, and a file whose checksums do not match, raises
+    `DataError`. what: names the expected content in that error.
     """
     try:
         if path.stat().st_size > _MAX_BYTES:
@@ -137,7 +137,7 @@ def read_torch_file(path: Path, what: str) -> Any:
         if not _is_whole(content):
             raise ValueError("a checksum does not match")
         return torch.load(io.BytesIO(content), map_location="cpu", weights_only=True)
-    except Exception as error:  # hostile bytes fail in any way; all of them mean the same to the user
+    except Exception as error:  # hostile bytes can raise anything, and every error means the same to the user
         reason = str(error).strip().splitlines()
         raise DataError(
             f"{path}: damaged or not {what} ({reason[0][:120] if reason else type(error).__name__}). "
@@ -155,7 +155,7 @@ def load(path: Path) -> Checkpoint:
     if type(schema) is not int or schema != SCHEMA:
         raise DataError(
             f"{path}: checkpoint schema {schema!r}; this version of the code reads schema {SCHEMA}. "
-            "Use the version of the code that wrote it, or train anew"
+            "Use the version of the code that wrote it, or train again"
         )
     for name, types in _TYPES.items():
         if name not in content or not isinstance(content[name], types) or isinstance(content[name], bool):
@@ -182,7 +182,7 @@ def _check_numbers(checkpoint: Checkpoint, path: Path) -> None:
     if not bool((checkpoint.model["std"] > 0.0).all() and checkpoint.model["return_scale"][1] > 0.0):
         raise DataError(f"{path}: a standard deviation is not positive")
     if checkpoint.epoch < 0 or not 0.0 < checkpoint.learning_rate < float("inf"):
-        raise DataError(f"{path}: epoch {checkpoint.epoch} and learning rate {checkpoint.learning_rate} cannot be")
+        raise DataError(f"{path}: epoch {checkpoint.epoch} or learning rate {checkpoint.learning_rate} is invalid")
 
 
 def _check_tensor(tensor: Any, shape: tuple[int, ...], where: str) -> None:
@@ -190,13 +190,13 @@ def _check_tensor(tensor: Any, shape: tuple[int, ...], where: str) -> None:
     if not ok:
         got = f"{tuple(tensor.shape)} {tensor.dtype}" if isinstance(tensor, Tensor) else type(tensor).__name__
         raise DataError(f"{where} is {got}; expected {shape} torch.float32")
-    # An expanded tensor claims more numbers than the file holds.
+    # An expanded tensor has more elements than the file stores.
     if not tensor.is_contiguous() or not bool(tensor.isfinite().all()):
         raise DataError(f"{where} is not a plain tensor of finite numbers")
 
 
 def restore(checkpoint: Checkpoint, path: Path, model: ActorCritic, optimizer: torch.optim.Optimizer) -> None:
-    """Put a checkpoint into a model and its Adam; `DataError` if it is of another architecture."""
+    """Load a checkpoint into a model and its Adam; `DataError` if it has another architecture."""
     here = model.architecture()
     if checkpoint.architecture != here:
         keys = sorted(set(here) | set(checkpoint.architecture), key=str)
@@ -206,7 +206,7 @@ def restore(checkpoint: Checkpoint, path: Path, model: ActorCritic, optimizer: t
             if checkpoint.architecture.get(key) != here.get(key)
         ]
         raise DataError(
-            f"{path}: the checkpoint is of another architecture ({'; '.join(differ)}). "
+            f"{path}: the checkpoint has another architecture ({'; '.join(differ)}). "
             "Resume with the config that it was trained with"
         )
     state = _optimizer_state(checkpoint, path, model)
@@ -218,7 +218,7 @@ def restore(checkpoint: Checkpoint, path: Path, model: ActorCritic, optimizer: t
 
 
 def _optimizer_state(checkpoint: Checkpoint, path: Path, model: ActorCritic) -> dict[int, Any]:
-    """Adam's state from the checkpoint, checked against the model's parameters and copied."""
+    """A copy of Adam's state from the checkpoint, checked against the model's parameters."""
     state = checkpoint.optimizer.get("state")
     parameters = list(model.parameters())
     indices = set(range(len(parameters))) if checkpoint.epoch else set()

@@ -1,7 +1,7 @@
 """A TensorBoard event file, written in the calling thread.
 
-`SummaryWriter` writes from a thread of its own, which can neither report a full disk to its caller nor live
-through a fork.
+`SummaryWriter` is not used because it writes from its own thread, which cannot report a full disk to the caller and
+does not survive a fork.
 """
 
 from __future__ import annotations
@@ -17,9 +17,9 @@ from torch.utils.tensorboard.summary import custom_scalars, scalar, text
 
 
 class EventFile:
-    """A new event file in a run directory. All methods raise OSError where the disk does not take it.
+    """A new event file in a run directory. All methods raise OSError if a write fails.
 
-    purge_step: TensorBoard then hides what earlier files of the directory hold from this step on.
+    purge_step: TensorBoard hides the data from this step on in earlier files of the directory.
     """
 
     def __init__(self, run_dir: Path, purge_step: int) -> None:
@@ -34,21 +34,21 @@ class EventFile:
         self._write(summary=scalar(tag, value), step=step)
 
     def text(self, tag: str, content: str, step: int) -> None:
-        """Add text, shown as it is."""
+        """Add text, shown verbatim."""
         code_block = "\n".join(f"    {line}" for line in content.splitlines())
         self._write(summary=text(tag, code_block), step=step)
 
     def image(self, tag: str, encoded: bytes, height: int, width: int, step: int) -> None:
-        """Add an encoded image, such as the bytes of a GIF, as it is."""
+        """Add an image that is already encoded, such as the bytes of a GIF."""
         image = Summary.Image(height=height, width=width, colorspace=3, encoded_image_string=encoded)
         self._write(summary=Summary(value=[Summary.Value(tag=tag, image=image)]), step=step)
 
     def layout(self, layout: dict[str, dict[str, list[Any]]]) -> None:
-        """Set the page of custom scalars: {category: {chart: ["Multiline", [tag, ...]]}}."""
+        """Set the layout of the custom scalars page: {category: {chart: ["Multiline", [tag, ...]]}}."""
         self._write(summary=custom_scalars(layout))
 
     def flush(self) -> None:
-        """Hand everything to the operating system."""
+        """Pass all buffered data to the operating system."""
         self._stream.flush()
 
     def close(self) -> None:

@@ -1,4 +1,4 @@
-"""Ctrl-C and SIGTERM: both interrupt, except where a save must come to its end."""
+"""Handling of Ctrl-C and SIGTERM: both interrupt, except while a save must complete."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ _SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 
 class Preempted(KeyboardInterrupt):
-    """SIGTERM: whoever runs this wants the machine back, and counts a tidy end as success."""
+    """Raised on SIGTERM: a scheduler reclaims the machine and counts a clean exit as success."""
 
 
 def _interrupt(number: int, frame: FrameType | None) -> None:
@@ -22,7 +22,7 @@ def _interrupt(number: int, frame: FrameType | None) -> None:
 
 @contextlib.contextmanager
 def _handling(handler: Any) -> Iterator[None]:
-    # Only the main thread may set handlers; elsewhere the process keeps those that it has.
+    # Only the main thread may set handlers; in other threads the present handlers stay.
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -31,15 +31,18 @@ def _handling(handler: Any) -> Iterator[None]:
         yield
     finally:
         for number, old in before.items():
-            # None: a handler that was not set from Python and cannot be put back.
+            # None means that the old handler was not set from Python and cannot be restored.
             signal.signal(number, signal.SIG_DFL if old is None else old)
 
 
 def interruptible() -> contextlib.AbstractContextManager[None]:
-    """SIGINT raises KeyboardInterrupt, SIGTERM `Preempted`; in a background job too, which starts ignoring SIGINT."""
+    """Make SIGINT raise KeyboardInterrupt and SIGTERM raise `Preempted`.
+
+    This also applies to a background job, which would otherwise ignore SIGINT from its start.
+    """
     return _handling(_interrupt)
 
 
 def uninterruptible() -> contextlib.AbstractContextManager[None]:
-    """Both signals are ignored."""
+    """Ignore both signals."""
     return _handling(signal.SIG_IGN)

@@ -1,4 +1,4 @@
-"""One process per run directory: two that train in the same one would overwrite each other's checkpoints."""
+"""Lock a run directory: two processes that train in the same one would overwrite each other's checkpoints."""
 
 from __future__ import annotations
 
@@ -19,7 +19,10 @@ NAME = ".lock"
 
 @contextlib.contextmanager
 def only_run(run_dir: Path) -> Iterator[None]:
-    """Holds the run directory; `ConfigError` if another process does. The lock ends with its process, in any way."""
+    """Hold the lock of the run directory; `ConfigError` if another process holds it.
+
+    The operating system releases the lock when its process ends for any reason. Does nothing on Windows.
+    """
     if fcntl is None:
         yield
         return
@@ -33,7 +36,7 @@ def only_run(run_dir: Path) -> Iterator[None]:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError:
             raise ConfigError(
-                f"{run_dir}: another process is training there; wait for its end, stop it, or choose another --run"
+                f"{run_dir}: another process is training there; wait for it, stop it, or choose another --run"
             ) from None
         yield
     finally:
@@ -41,7 +44,7 @@ def only_run(run_dir: Path) -> Iterator[None]:
 
 
 def is_running(run_dir: Path) -> bool:
-    """Whether a process of this machine is training in a run directory."""
+    """Whether a process on this machine is training in a run directory; False on Windows."""
     if fcntl is None or not (run_dir / NAME).is_file():
         return False
     try:

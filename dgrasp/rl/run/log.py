@@ -1,4 +1,4 @@
-"""What a training run writes down: TensorBoard events, `progress.csv` and the progress on the screen."""
+"""The log of a training run: TensorBoard events, `progress.csv` and the progress on the screen."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ RETURN, TERMINATED, TRUNCATED = "train/return", "train/terminated", "train/trunc
 SUCCESS, CONTACT_RATIO = "eval/success", "eval/contact_ratio"
 MPE, GEODESIC, CARRIED = "eval/mpe_m", "eval/geodesic_rad", "eval/carried"
 EVALUATED = {"grasp": (SUCCESS, CONTACT_RATIO), "motion": (MPE, GEODESIC, CARRIED), "flat": (MPE, GEODESIC, CARRIED)}
-"""By the `env.task`, what an evaluation is shown by."""
+"""Tags that summarise an evaluation, by `env.task`."""
 STEPS_PER_SECOND, PHYSICS_SHARE, UPDATE_SHARE = "speed/steps_per_second", "speed/physics_share", "speed/update_share"
 LOST_WORKERS = "speed/lost_workers"
 WORKERS = "speed/workers"
@@ -42,11 +42,11 @@ _INCIDENTS_KEPT = 50
 class Log:
     """The log of one run; a context manager that flushes and closes it.
 
-    Values are logged under TensorBoard tags such as `ppo/kl`. `progress.csv` has one row per epoch, with the
-    tags' last parts as columns. Resuming drops what was logged after the resumed epoch (0: starts anew), keeps the
-    columns that are there, adds those that are new, empty in the rows before, and describes the run anew. steps_after:
-    the control steps of the whole run when an epoch, from the resumed one on, is complete. Raises `DataError` if the
-    disk does not take it.
+    Values are logged under TensorBoard tags such as `ppo/kl`. `progress.csv` has one row per epoch; its columns are
+    the last parts of the tags. Resuming drops all entries after the resumed epoch (0: an empty log), keeps the present
+    columns, adds new ones, which are empty in earlier rows, and writes config.yaml and data.json again.
+    steps_after: gives the control steps of the whole run at the end of an epoch, from the resumed one on.
+    Raises `DataError` if a write fails.
     """
 
     def __init__(
@@ -68,7 +68,7 @@ class Log:
         columns = [*_FIXED_COLUMNS, *map(_column, [*tags, *self._evaluated])]
         with self._writing():
             rows = _rows_until(self._csv, resumed_epoch) if resumed_epoch else []
-            # What the run was begun or resumed with is what it is from now on.
+            # From now on the run is described by the config and data with which it was begun or resumed.
             write_description(run_dir, config, data_stamp)
             self._forget_incidents(resumed_epoch)
             self._columns = list(dict.fromkeys([*(rows[0] if rows else ()), *columns]))
@@ -80,7 +80,8 @@ class Log:
             self._events.text("config", dump_config(config), resumed_epoch)
             self._events.text("data", json.dumps(data_stamp, indent=2), resumed_epoch)
             for row in rows:
-                # TensorBoard hides every earlier point beyond the resumed epoch, whatever a curve counts in.
+                # These two curves are indexed by cost, not by epoch, but TensorBoard hides earlier points whose index
+                # exceeds the resumed epoch. Write them again.
                 if row.get(_column(SUCCESS)):
                     cost = int(row["control_steps"]), float(row.get("core_hours") or 0.0)
                     self._success_by_cost(float(row[_column(SUCCESS)]), *cost)
@@ -104,17 +105,17 @@ class Log:
             with self._writing():
                 self._events.close()
         else:
-            # The first failure is the one to tell.
+            # The first failure is the one to report.
             with contextlib.suppress(OSError):
                 self._events.close()
 
     def plan(self, environments: int, epochs: int, max_steps: int | None) -> None:
-        """Write down what the run is to do."""
+        """Write the run's plan (`write_plan`)."""
         with self._writing():
             write_plan(self._run_dir, environments, epochs, max_steps, self._epochs)
 
     def step(self, epoch: int, steps: int) -> None:
-        """Count control steps in the display."""
+        """Add control steps to the progress display."""
         self._progress.advance(steps, f"epoch {epoch}/{self._epochs}")
 
     def message(self, text: str) -> None:
@@ -122,7 +123,7 @@ class Log:
         self._progress.message(text)
 
     def events(self, epoch: int, events: Sequence[str]) -> None:
-        """Write down what the environments reported, and print the first few."""
+        """Log the events that the environments reported, and print the first few."""
         if not events:
             return
         with self._writing():
@@ -133,9 +134,9 @@ class Log:
             self.message(f"epoch {epoch}: and {len(events) - _EVENTS_SHOWN} more such events (TensorBoard, text)")
 
     def incidents(self, incidents: Sequence[Incident], names: Sequence[str]) -> None:
-        """Count the episodes that the simulation broke, and keep what it takes to play the first ones again.
+        """List the episodes in which the simulation broke, and save the data needed to replay the first ones.
 
-        incidents.csv has a row for each: epoch, environment, label, step. incidents/*.npz holds seed, epoch,
+        incidents.csv has a row for each: epoch, environment, label, step. Each of incidents/*.npz holds seed, epoch,
         environment and actions.
         """
         if not incidents:
@@ -161,7 +162,7 @@ class Log:
         return self._run_dir / "incidents.csv"
 
     def _forget_incidents(self, epoch: int) -> None:
-        """Drop those after an epoch from which a run begins again."""
+        """Drop the rows of incidents.csv after the resumed epoch."""
         if self._incidents.is_file():
             header, *rows = self._incidents.read_text(encoding="utf-8").splitlines()
             kept = [row for row in rows if row.split(",")[0].isdecimal() and int(row.split(",")[0]) <= epoch]
@@ -170,7 +171,7 @@ class Log:
     def epoch(self, epoch: int, values: Mapping[str, float], gif: bytes | None = None) -> None:
         """Write the values (tag to number) of a completed epoch, and a GIF of its evaluation.
 
-        Epoch 0 is the state before training. Cost counts the workers' cores, whatever they do on them.
+        Epoch 0 is the state before training. Core hours count one core per worker for the whole time, busy or idle.
         """
         steps = self._steps_after(epoch)
         seconds = time.monotonic() - self._start
@@ -219,19 +220,19 @@ class Log:
 
 
 def write_description(run_dir: Path, config: Config, data_stamp: Mapping[str, Any]) -> None:
-    """A run directory's config and data stamp."""
+    """Write config.yaml and data.json (the data stamp) in a run directory."""
     write_atomic(run_dir / "config.yaml", dump_config(config))
     write_atomic(run_dir / "data.json", json.dumps(data_stamp, indent=2) + "\n")
 
 
 def write_plan(run_dir: Path, environments: int, epochs: int, max_steps: int | None, last_epoch: int) -> None:
-    """What a run was begun or resumed to do: `Run.epochs` cannot tell it from the config alone."""
+    """Write the plan with which a run was begun or resumed; `Run.epochs` cannot derive it from the config alone."""
     plan = {"environments": environments, "epochs": epochs, "max_steps": max_steps, "last_epoch": last_epoch}
     write_atomic(run_dir / PLAN_NAME, json.dumps(plan) + "\n")
 
 
 def read_plan(run_dir: Path) -> dict[str, Any]:
-    """What `write_plan` wrote; empty where there is none that can be read."""
+    """The plan that `write_plan` wrote; empty if there is none that can be read."""
     try:
         plan = json.loads((run_dir / PLAN_NAME).read_text(encoding="utf-8"))
     except (OSError, ValueError):
@@ -240,14 +241,14 @@ def read_plan(run_dir: Path) -> dict[str, Any]:
 
 
 def steps_made(run_dir: Path, epoch: int) -> int | None:
-    """The control steps of a run until the end of an epoch, by its progress.csv; None if that does not say."""
+    """The control steps of a run until the end of an epoch, from progress.csv; None if they are not there."""
     rows = _rows_until(run_dir / CSV_NAME, epoch)
     known = rows[-1].get("control_steps", "") if rows and int(rows[-1]["epoch"]) == epoch else ""
     return int(known) if known.isdecimal() else None
 
 
 def _layout(reward_terms: Sequence[str], evaluated: Sequence[str]) -> dict[str, dict[str, list[Any]]]:
-    """TensorBoard's custom page: the curves that matter first, then all reward terms."""
+    """The layout of TensorBoard's custom page: the most important curves first, then all reward terms."""
     contact = [tag for tag in evaluated if tag == CONTACT_RATIO]
     contact += [f"reward/{term}" for term in reward_terms if "contact" in term]
     return {
@@ -264,7 +265,7 @@ def _layout(reward_terms: Sequence[str], evaluated: Sequence[str]) -> dict[str, 
 
 
 def _rows_until(path: Path, epoch: int) -> list[dict[str, str]]:
-    """The rows of a `progress.csv` up to an epoch; a row that a crash left incomplete is dropped."""
+    """The rows of a `progress.csv` up to an epoch, without rows that a crash left incomplete."""
     if not path.is_file():
         return []
     lines = list(csv.reader(io.StringIO(path.read_text(encoding="utf-8", errors="replace"), newline="")))

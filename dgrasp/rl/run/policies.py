@@ -1,4 +1,4 @@
-"""A trained policy from a file, whoever wrote it: this project or the authors."""
+"""Read a trained policy from a file of this project or of the authors."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from dgrasp.rl.run.weights import SUFFIX, read_weights
 
 @dataclass(frozen=True)
 class SavedPolicy:
-    """A deterministic policy, and the config that it was trained with as plain values: empty for the authors'."""
+    """A deterministic policy and its training config as plain values; the config is empty for the authors' policies."""
 
     policy: Policy
     config: dict[str, Any]
@@ -32,7 +32,7 @@ class SavedPolicy:
 
 
 def read_policy(path: Path) -> SavedPolicy:
-    """A checkpoint or published weights of ours, or a checkpoint of the authors; `DataError` for anything else."""
+    """Read this project's checkpoint or published weights, or the authors' checkpoint; `DataError` for other files."""
     if path.suffix == SUFFIX:
         policy, about = read_weights(path)
         return SavedPolicy(policy, about["config"])

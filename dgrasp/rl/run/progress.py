@@ -1,4 +1,4 @@
-"""How far the training is: a live bar on a terminal, plain lines elsewhere."""
+"""Progress display of a training: a live bar on a terminal, plain lines elsewhere."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ def format_duration(seconds: float) -> str:
 
 
 class TrainingProgress:
-    """Shows epoch, control steps per second, time left and the last success.
+    """Shows epoch, control steps per second, time left and the success rate of the last evaluation.
 
-    total_steps: control steps of the whole training; done_steps: those of a run that is resumed.
-    max_seconds: a limit on the training's time, which then also bounds the time left.
+    total_steps: control steps of the whole training. done_steps: those made before the run was resumed.
+    max_seconds: time limit of the training, s; it also bounds the time left.
     """
 
     def __init__(
@@ -47,7 +47,7 @@ class TrainingProgress:
             self._bar.start()
 
     def advance(self, steps: int, place: str) -> None:
-        """Count control steps; `place` says where the training is, such as "epoch 3/10"."""
+        """Add control steps. place: where the training is, such as "epoch 3/10"."""
         self._done += steps
         now = self._clock()
         if self._bar is not None:
@@ -57,7 +57,7 @@ class TrainingProgress:
             self.message(self._status(place, now))
 
     def success(self, success: float) -> None:
-        """Remember the last success, a fraction."""
+        """Set the last success rate to show, a fraction."""
         self._success = success
 
     def message(self, text: str) -> None:
@@ -65,7 +65,7 @@ class TrainingProgress:
         self._console.print(text, markup=False, highlight=False, soft_wrap=True)
 
     def close(self) -> None:
-        """Leave the terminal as it was."""
+        """Stop the bar and restore the terminal."""
         if self._bar is not None:
             self._bar.stop()
 

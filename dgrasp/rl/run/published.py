@@ -19,12 +19,12 @@ _WHAT = "a published policy of the authors (full_NNNN.pt)"
 
 
 def is_published(content: Any) -> bool:
-    """Whether the content of a file, as `checkpoint.read_torch_file` returns it, has the authors' layout."""
+    """Whether the content returned by `checkpoint.read_torch_file` has the authors' layout."""
     return isinstance(content, dict) and _ACTOR in content
 
 
 def load_published_actor(path: Path, obs_size: int = 279, action_size: int = 51) -> Policy:
-    """The deterministic policy of a file of the authors' release, calculating in their float64.
+    """The deterministic policy in a file of the authors' release; it computes in float64, as theirs does.
 
     The file holds three linear layers with LeakyReLU (slope 0.01) between them. Raises `DataError` for any
     other content or other sizes.
@@ -55,4 +55,4 @@ def load_published_actor(path: Path, obs_size: int = 279, action_size: int = 51)
 def _check(tensor: Any, dimensions: int, where: str) -> None:
     ok = isinstance(tensor, Tensor) and tensor.is_floating_point() and tensor.dim() == dimensions
     if not ok or not tensor.is_contiguous() or not bool(tensor.isfinite().all()):
-        raise DataError(f"{where} is not a tensor of {dimensions} dimensions of finite numbers")
+        raise DataError(f"{where} is not a tensor of finite numbers with {dimensions} dimensions")

@@ -1,4 +1,4 @@
-"""A run directory as it is now: its config, its data, and how far its training is."""
+"""The present content of a run directory: its config, its data, and the progress of its training."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from dgrasp.rl.run.log import CSV_NAME, read_plan
 
 @dataclass(frozen=True)
 class Run:
-    """A run directory as it is now; `rows` are those of its progress.csv, `plan` what the learner was to do."""
+    """The present content of a run directory. data: the data stamp. rows: of progress.csv. plan: of `write_plan`."""
 
     path: Path
     config: Config
@@ -29,7 +29,7 @@ class Run:
 
     @property
     def state(self) -> str:
-        """running, finished, stopped (it can be resumed), or new."""
+        """running, finished, stopped (can be resumed), or new."""
         if is_running(self.path):
             return "running"
         if not self.rows or not saved(self.path):
@@ -39,7 +39,7 @@ class Run:
 
     @property
     def complete(self) -> bool:
-        """Whether all epochs are made that `ppo.epochs` and `ppo.max_steps` allow, whatever the time they took."""
+        """Whether the run has made all epochs that `ppo.epochs` and `ppo.max_steps` allow, regardless of time."""
         return self.number("epoch") >= self.epochs
 
     @property
@@ -60,20 +60,20 @@ class Run:
 
     @property
     def best(self) -> float | None:
-        """The best evaluation's success, or None before the first."""
+        """The success rate of the best evaluation; None before the first."""
         return max((success for _, success in self.curve), default=None)
 
     def until(self, epoch: int) -> Run:
-        """The run as it was when an epoch was complete."""
+        """The run as it was at the end of an epoch."""
         return replace(self, rows=[row for row in self.rows if int(row["epoch"]) <= epoch])
 
     def number(self, column: str) -> float:
-        """The last value in a column of progress.csv; 0 where there is none."""
+        """The last value in a column of progress.csv; 0 if there is none."""
         return float(self.rows[-1].get(column) or 0.0) if self.rows else 0.0
 
 
 def read_run(path: Path) -> Run:
-    """A run directory; `ConfigError` if train.py did not make it."""
+    """Read a run directory; `ConfigError` if it is not one that train.py made."""
     if not (path / "config.yaml").is_file():
         raise ConfigError(f"{path}: not a run directory (no config.yaml); expected one that train.py made")
     data: Any = {}
@@ -84,14 +84,14 @@ def read_run(path: Path) -> Run:
             raise ConfigError(f"{path / 'data.json'}: not JSON ({error}); was it changed by hand?") from None
     rows: list[dict[str, str]] = []
     if (path / CSV_NAME).is_file():
-        # A power cut leaves NULs, an editor other things; such rows are not counted.
+        # A power cut can leave NULs and an editor other damage; skip such rows.
         text = (path / CSV_NAME).read_text(encoding="utf-8", errors="replace").replace("\0", "")
         rows = [row for row in csv.DictReader(io.StringIO(text, newline="")) if None not in row and _is_sound(row)]
     return Run(path, load_config(path / "config.yaml"), data if isinstance(data, dict) else {}, rows, read_plan(path))
 
 
 def _is_sound(row: dict[str, str]) -> bool:
-    """Whether the columns that are read here hold numbers."""
+    """Whether the columns that `Run` reads hold finite numbers."""
     try:
         int(row["epoch"]), int(row["control_steps"])
         numbers = [float(row["seconds"]), *(float(row.get(name) or 0.0) for name in ("core_hours", "success"))]

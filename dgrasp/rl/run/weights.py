@@ -1,6 +1,6 @@
-"""A trained policy to give away: the actor's weights as safetensors, and what they were trained with.
+"""A trained policy to share: the actor's weights as safetensors, with the config and data of its training.
 
-safetensors, because such a file holds numbers and text and nothing else, whoever it comes from.
+The format is safetensors because such a file can hold only numbers and text, so an untrusted one is safe to open.
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ FORMAT, SCHEMA = "dgrasp-policy", "1"
 MAX_BYTES = 64 * 2**20
 _SIZES = ("observation_size", "actor_size", "action_size")
 _SECTIONS = ("seed", "engine", "physics", "env", "ppo")
-"""What of the config is told: not where files lay on the machine that trained."""
+"""Sections of the config that the file includes; paths on the machine that trained the policy stay out."""
 
 
 def write_weights(path: Path, checkpoint: Checkpoint) -> int:
-    """Write the policy of a checkpoint; returns the file's size in bytes."""
+    """Write the policy of a checkpoint and return the file's size in bytes."""
     actor = {name: value.contiguous() for name, value in checkpoint.model.items() if name.startswith("actor.")}
     about = {
         "architecture": checkpoint.architecture,
@@ -43,9 +43,9 @@ def write_weights(path: Path, checkpoint: Checkpoint) -> int:
 
 
 def read_weights(path: Path) -> tuple[Policy, dict[str, Any]]:
-    """The policy of such a file, and what it says of itself: architecture, config, data, code, epoch.
+    """The policy in such a file and the file's description: architecture, config, data, code, epoch.
 
-    Raises `DataError` for a file that is missing, damaged, too large, or holds something else.
+    Raises `DataError` for a file that is missing, damaged or too large, or that holds something else.
     """
     try:
         size = path.stat().st_size
@@ -63,7 +63,7 @@ def read_weights(path: Path) -> tuple[Policy, dict[str, Any]]:
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (it is no mapping)
     except (SafetensorError, ValueError, RecursionError, OSError) as error:
         reason = " ".join(str(error).split())[:120]
-        raise DataError(f"{path}: damaged or no policy ({reason}); take another file") from None
+        raise DataError(f"{path}: damaged or not a policy ({reason}); take another file") from None
     return _policy(tensors, about, path), about
 
 
@@ -73,7 +73,7 @@ def _policy(tensors: dict[str, torch.Tensor], about: Any, path: Path) -> Policy:
     for i, (fan_in, fan_out) in enumerate(itertools.pairwise(layers)):
         expected |= {f"actor.{2 * i}.weight": (fan_out, fan_in), f"actor.{2 * i}.bias": (fan_out,)}
     if {name: tuple(value.shape) for name, value in tensors.items()} != expected:
-        raise DataError(f"{path}: its weights are not those of layers {layers}; take another file")
+        raise DataError(f"{path}: its weights do not match layers of sizes {layers}; take another file")
     if not all(value.dtype == torch.float32 and bool(value.isfinite().all()) for value in tensors.values()):
         raise DataError(f"{path}: a weight is not a finite float32 number; take another file")
     network = make_mlp(layers)
@@ -82,12 +82,12 @@ def _policy(tensors: dict[str, torch.Tensor], about: Any, path: Path) -> Policy:
 
 
 def _sizes(about: Any, path: Path) -> list[int]:
-    """Numbers that the policy sees, that the actor sees of them, that it says, and the hidden layers' widths."""
+    """Sizes of the observation, of its part that the actor sees and of the action, then the hidden layers' widths."""
     try:
         architecture, config = about["architecture"], about["config"]
         sizes = [*(architecture[key] for key in _SIZES), *architecture["hidden"]]
     except (KeyError, TypeError):
         sizes, config = [], None
     if not sizes or not all(type(size) is int and 0 < size <= 65536 for size in sizes) or not isinstance(config, dict):
-        raise DataError(f"{path}: it does not say what its weights are for; take another file")
+        raise DataError(f"{path}: it does not describe its weights (architecture and config); take another file")
     return sizes
