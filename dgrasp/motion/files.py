@@ -96,7 +96,7 @@ def _csv(path: Path, text: str) -> dict[str, Any]:
         try:
             values.append([float(row[header.index(name)]) for name in (*names, *(["t"] if "t" in header else []))])
         except (ValueError, IndexError):
-            raise DataError(f"{path}: row {number}: a column lacks a number; {_EXPECTED}") from None
+            raise DataError(f"{path}: row {number}: not every column holds a number; {_EXPECTED}") from None
     if not values:
         raise DataError(f"{path}: no rows after the first line; {_EXPECTED}")
     table = np.array(values)
