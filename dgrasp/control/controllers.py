@@ -1,4 +1,4 @@
-"""What the residual action is added to: one controller per phase and ablation (paper, equations 1 and 2).
+"""Controllers, whose bias the residual action is added to; one per phase and ablation (paper, equations 1 and 2).
 
 A controller gives the bias q_b (N, D) of the PD target and the scale sigma (D,) of the action;
 the target is q_b + sigma * a, clipped to the joint limits.
@@ -22,13 +22,13 @@ HOLD_KP_POSITION = 500.0
 
 
 class Controller(Protocol):
-    """Bias and action scale of one phase; `kp_position` (N/m) says how stiff the wrist is."""
+    """Bias and action scale of one phase; `kp_position` (N/m) is the stiffness of the wrist's position."""
 
     sigma: Array
     kp_position: float
 
     def bias(self, state: SceneState, goal: GraspGoal, out: Array) -> None:
-        """Writes q_b into out (N, D)."""
+        """Write q_b into out (N, D)."""
 
 
 def _sigma(config: ActionConfig, hand: HandLayout, wrist_position: float) -> Array:
@@ -39,7 +39,7 @@ def _sigma(config: ActionConfig, hand: HandLayout, wrist_position: float) -> Arr
 
 
 class WristGuidance:
-    """The wrist's position is biased to the label's, relative to the object now; the rest stays where it is.
+    """Bias the wrist's position to the label's, relative to the object's current pose; all else keeps its place.
 
     Paper, section 3.2.3.
     """
@@ -54,7 +54,8 @@ class WristGuidance:
 
 
 class Residual:
-    """All joints are biased to where they are (the ablation "w/o WristGuidance"); the wrist moves 10 times more."""
+    """Bias all joints to where they are (the ablation "w/o WristGuidance"); sigma is 10 times as large for the wrist's
+    position."""
 
     def __init__(self, config: ActionConfig, hand: HandLayout) -> None:
         self.sigma = _sigma(config, hand, 10.0 * config.sigma_wrist_position)
@@ -65,7 +66,7 @@ class Residual:
 
 
 class WristHold:
-    """The wrist stays at the pose that it had when this controller began; the policy keeps the fingers."""
+    """Hold the wrist at the pose that it had when this controller began; the policy controls the fingers."""
 
     kp_position = HOLD_KP_POSITION
 
@@ -84,7 +85,7 @@ class WristHold:
 
 
 class LabelPose:
-    """Wrist and fingers at the label's pose (the baseline *+PD, supplement B.4); actions have no effect."""
+    """Hold wrist and fingers at the label's pose (the baseline *+PD, supplement B.4); actions have no effect."""
 
     kp_position = HOLD_KP_POSITION
 
@@ -100,4 +101,4 @@ GRASP_CONTROLLERS: dict[str, Callable[[ActionConfig, HandLayout], Controller]] =
     "guidance": WristGuidance,
     "residual": Residual,
 }
-"""By the name in `env.wrist`."""
+"""The controllers of grasping by the names that `env.wrist` takes."""

@@ -19,14 +19,14 @@ from raisim_like.rotations import (
 )
 
 Fingers = Literal["policy", "target", "pose"]
-"""Who has the fingers during the motion: the policy; or nobody, and they keep their PD targets or their pose."""
+"""What moves the fingers during the motion: the policy, or nothing: they keep their PD targets or their pose."""
 
 
 class MotionSynthesis:
-    """T_pd = T_h + beta * (T_g - T_o), recomputed in every control step; the policy keeps the fingers.
+    """T_pd = T_h + beta * (T_g - T_o), recomputed in every control step; the policy controls the fingers.
 
     The targets are `state.R_WG` and `state.target_pos_W`, which may move. As in the authors' code, beta grows in equal
-    steps, so that the object is not thrown from its rest.
+    steps, so that the object does not start with a jerk.
     """
 
     kp_position = HOLD_KP_POSITION
@@ -43,7 +43,7 @@ class MotionSynthesis:
         self._steps = 0
 
     def bias(self, state: SceneState, goal: object, out: Array) -> None:
-        """Writes q_b into out (N, D); one call per control step."""
+        """Write q_b into out (N, D). Call it once per control step."""
         out[:] = state.gc if self._fingers is None else np.concatenate([state.gc[:, :N_WRIST], self._fingers], axis=1)
         m, n = self._motion, len(out)
         beta_position = m.beta_position * min(1.0, self._steps / m.ramp_position)
@@ -53,10 +53,10 @@ class MotionSynthesis:
 
 
 def wrist_target(state: SceneState, beta_position: Array, beta_rotation: Array) -> Array:
-    """(N, 6) the wrist's coordinates, relative to H0, that bring the object by the shares beta (N,) to its target.
+    """(N, 6) the wrist's coordinates, relative to H0, that move the object to its target by the shares beta (N,).
 
-    The object sits in the hand like a stone: it goes straight towards its target's position and turns about its own
-    origin, about the axis of the remaining rotation. With both beta 1 it is there.
+    The object is taken to be rigidly fixed in the hand. It moves straight towards its target's position and turns about
+    its own origin, about the axis of the remaining rotation. If both beta are 1, it reaches the target.
     """
     to_go = rotation_vector(np.matmul(state.R_WG, np.swapaxes(state.R_WO, 1, 2)))
     turn = matrix_from_rotation_vector(beta_rotation[:, None] * to_go)
@@ -70,14 +70,15 @@ def wrist_target(state: SceneState, beta_position: Array, beta_rotation: Array) 
 
 
 LOCK = 1e-9
-"""Of 1 - |sin b|: below it the first and third angle turn about the same axis."""
+"""Threshold of 1 - |sin b|. Below it, the first and third angles turn about the same axis."""
 
 
 def nearest_euler(R: Array, near: Array) -> Array:
-    """Intrinsic XYZ angles (N, 3) of matrices (N, 3, 3): of all that there are, those nearest to `near` (N, 3).
+    """Intrinsic XYZ angles (N, 3) of matrices (N, 3, 3): of all solutions, the ones nearest to `near` (N, 3).
 
-    A rotation has two sets of angles, (a, b, c) and (a + pi, pi - b, c + pi), each up to whole turns, so that a joint
-    that follows the principal ones would have to jump. At the gimbal lock all that keep a + c (or a - c) do.
+    A rotation has two sets of angles, (a, b, c) and (a + pi, pi - b, c + pi), each up to whole turns. A joint that
+    followed the principal angles would have to jump. At gimbal lock, all angles with the same a + c (or a - c) are
+    solutions.
     """
     first = euler_from_matrix(R)
     second = np.array([np.pi, np.pi, np.pi]) + first * np.array([1.0, -1.0, 1.0])
@@ -86,7 +87,7 @@ def nearest_euler(R: Array, near: Array) -> Array:
     out = np.where(closer[:, None], second, first)
     locked = 1.0 - np.abs(R[:, 0, 2]) < LOCK
     if locked.any():
-        # There the principal third angle is 0, and a alone says what a + c (b = pi/2) or a - c (b = -pi/2) must be.
+        # At gimbal lock the principal third angle is 0, so a alone gives a + c (b = pi/2) or a - c (b = -pi/2).
         side = np.sign(R[locked, 0, 2])
         a, c = near[locked, 0], near[locked, 2]
         half = _wrapped(first[locked, 0] + side * first[locked, 2] - a - side * c) / 2.0
@@ -95,5 +96,5 @@ def nearest_euler(R: Array, near: Array) -> Array:
 
 
 def _wrapped(angles: Array) -> Array:
-    """Angles as the nearest to 0 among those that differ by whole turns."""
+    """Angles shifted by whole turns to be nearest to 0."""
     return np.asarray(angles - 2.0 * np.pi * np.round(angles / (2.0 * np.pi)))

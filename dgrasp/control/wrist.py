@@ -1,4 +1,4 @@
-"""A learned policy's wrist on the way to a target: residual actions along and about the world's axes."""
+"""Wrist control of a learned policy that moves to a target: residual actions along and about the world's axes."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from raisim_like.rotations import matrix_from_euler, matrix_from_rotation_vector
 
 
 def move_wrist(target: Array, state: SceneState, actions: Array, motion: MotionConfig, rows: slice | Array) -> None:
-    """Adds actions (N, 6) to the wrist's part of PD targets (N, D), in some rows.
+    """Add actions (N, 6) to the wrist's part of PD targets (N, D), in some rows.
 
-    The first three shift it by `sigma_position` each, the others are a rotation vector about the wrist in units of
-    `sigma_rotation`. Both are along the axes of W, in which psi is written, not those of H0, which each label has its
-    own of.
+    The first three actions shift the wrist in units of `sigma_position`. The others are a rotation vector about the
+    wrist in units of `sigma_rotation`. Both are along the axes of W, as psi is, not along those of H0, which differ
+    from label to label.
     """
     R_H0W = np.swapaxes(state.R_WH0[rows], 1, 2)
     shift_W, turn_W = motion.sigma_position * actions[rows, :3], motion.sigma_rotation * actions[rows, 3:]
@@ -29,10 +29,10 @@ def move_wrist(target: Array, state: SceneState, actions: Array, motion: MotionC
 
 
 class WholeHand:
-    """Flat-RL: bias as in grasping (`env.wrist`), and a wrist as stiff as motion synthesis has it.
+    """Flat-RL: the bias of grasping (`env.wrist`), with a wrist as stiff as in motion synthesis.
 
-    sigma is that of the fingers; `move_wrist` adds the wrist's actions. Nothing counts for the object's weight: when it
-    is lifted is for the policy to find out.
+    sigma is that of the fingers and zero for the wrist; `move_wrist` adds the wrist's actions. There is no feed-forward
+    for the object's weight: the policy must find out when the object is lifted.
     """
 
     kp_position = HOLD_KP_POSITION
@@ -43,5 +43,5 @@ class WholeHand:
         self.sigma[:N_WRIST] = 0.0
 
     def bias(self, state: SceneState, goal: GraspGoal, out: Array) -> None:
-        """Writes q_b into out (N, D)."""
+        """Write q_b into out (N, D)."""
         self._grasp.bias(state, goal, out)

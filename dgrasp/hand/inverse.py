@@ -1,4 +1,4 @@
-"""Inverse kinematics: wrist and finger angles that bring a hand's key points to given places, many hands at once."""
+"""Inverse kinematics for many hands at once: wrists and finger angles that bring key points to given places."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from dgrasp.hand.model import HandModel
 from dgrasp.types import Array
 
 STAY = 0.003
-"""m per rad: how much a joint angle's change from where it started costs, against a key point's distance."""
+"""m per rad. Cost of a joint angle's change from its start, relative to a key point's distance."""
 ITERATIONS = 20
 _SMALL = 1e-10
 
@@ -26,11 +26,11 @@ class KeypointFit:
 
 
 def fit_keypoints(hand: HandModel, T_AH: Array, hand_pose: Array, targets: Array) -> KeypointFit:
-    """The hands nearest to key points `targets` (N, K, 3) m in frame A, from wrists T_AH (N, 4, 4) and poses (N, J).
+    """Fit hands to key points `targets` (N, K, 3) m in frame A, from wrists T_AH (N, 4, 4) and poses (N, J) rad.
 
     Minimises the sum of |x_k - target_k|^2 over the key points plus |STAY * (q - q_start)|^2 over the finger angles, by
-    `ITERATIONS` steps of Levenberg and Marquardt with the exact Jacobian. Angles stay within the joint limits, and
-    those that started outside move no farther out.
+    `ITERATIONS` Levenberg-Marquardt steps with the exact Jacobian. Angles stay within the joint limits; those that
+    start outside move no farther out.
     """
     state = _Chains(hand, T_AH[:, :3, :3].copy(), T_AH[:, :3, 3].copy(), hand_pose.copy())
     limits = hand.limits[N_WRIST:].T
@@ -60,7 +60,7 @@ def fit_keypoints(hand: HandModel, T_AH: Array, hand_pose: Array, targets: Array
 
 
 def _cost(state: _Chains, targets: Array, start: Array) -> Array:
-    """(N,) m^2."""
+    """(N,) m^2: the cost that `fit_keypoints` minimises."""
     near: Array = ((state.joints - targets) ** 2).sum(axis=(1, 2))
     return near + (STAY * (state.pose - start) ** 2 * STAY).sum(axis=1)
 
@@ -74,7 +74,10 @@ class _Chains:
         self.joints = hand.chain.keypoints(self._frames, self._origins)
 
     def jacobian(self) -> Array:
-        """(N, K, 3, D): key points by the wrist's translation, its rotation vector (frame A), finger angles."""
+        """(N, K, 3, D): derivatives of the key points by the coordinates.
+
+        The coordinates are the wrist's translation, its rotation vector (frame A), and the finger angles.
+        """
         chain, layout = self.hand.chain, self.hand.layout
         J = np.zeros((len(self.pose), layout.n_keypoints, 3, layout.n_dof))
         J[..., :3] = np.eye(3)
@@ -90,14 +93,14 @@ class _Chains:
         return J
 
     def moved(self, step: Array, low: Array, high: Array) -> _Chains:
-        """The hands after a step (N, D) of the Jacobian's coordinates, the angles kept within low and high (N, J)."""
+        """The hands after a step (N, D) in the Jacobian's coordinates; angles are clipped to low and high (N, J)."""
         from scipy.spatial.transform import Rotation
 
         R = Rotation.from_rotvec(step[:, 3:6]).as_matrix() @ self.R
         return _Chains(self.hand, R, self.wrist + step[:, :3], np.clip(self.pose + step[:, N_WRIST:], low, high))
 
     def where(self, chosen: Array, other: _Chains) -> _Chains:
-        """The other's hands where chosen (N,) bool, else these."""
+        """The hands of `other` where chosen (N,) bool, else these."""
         R = np.where(chosen[:, None, None], other.R, self.R)
         wrist, pose = (np.where(chosen[:, None], b, a) for a, b in ((self.wrist, other.wrist), (self.pose, other.pose)))
         return _Chains(self.hand, R, wrist, pose)

@@ -1,7 +1,7 @@
 """Forward kinematics of a hand from its URDF, for N hands at once.
 
-Each joint has one axis. Joints that share an origin form one part: where a part has three of them about x, y and z, as
-MANO's joints have, their rotation is computed as intrinsic XYZ Euler angles.
+Each joint has one axis. Joints that share an origin turn one part. If a part has three joints about x, y and z, as in
+MANO's hand, their rotation is computed from intrinsic XYZ Euler angles.
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ from raisim_like.rotations import matrix_from_euler, matrix_from_rotation_vector
 class Kinematics:
     """A tree of P parts with J finger joints and K key points; part 0 is the palm, whose frame is the wrist's, H.
 
-    parents (P,): the part that each part hangs on, -1 for the palm. offsets (P, 3) m: a part's origin in the frame of
-    its parent. joint_parts (J,): the part that a joint turns; several joints of one part turn it one after the other.
+    parents (P,): index of each part's parent, -1 for the palm. offsets (P, 3) m: each part's origin in the frame of its
+    parent. joint_parts (J,): the part that each joint turns; several joints of one part turn it one after the other.
     axes (J, 3): unit axes in the joints' own frames. joint_frames (J, 3, 3): rotation from a joint's frame to that of
-    the joint before it in the same part, or of the parent part. keypoint_parts (K,), keypoint_offsets (K, 3) m: the
-    part that a key point is fixed to, and where.
+    the joint before it in the same part, or of the parent part. keypoint_parts (K,): the part to which each key point
+    is fixed. keypoint_offsets (K, 3) m: the key point in that part's frame.
     """
 
     parents: Array
@@ -35,7 +35,7 @@ class Kinematics:
     keypoint_offsets: Array
 
     def part_turns(self, pose: Array) -> Array:
-        """(N, P - 1, 3, 3): the rotation of each part but the palm against its parent, for joint angles (N, J)."""
+        """(N, P - 1, 3, 3): rotation of each part except the palm relative to its parent, for joint angles (N, J)."""
         n, count = len(pose), len(self.parents) - 1
         if self.all_euler:
             return matrix_from_euler(pose.reshape(n, count, 3))
@@ -68,7 +68,7 @@ class Kinematics:
         return R, t
 
     def keypoints(self, R: Array, t: Array) -> Array:
-        """(N, K, 3) m: the key points of parts at R (N, P, 3, 3), t (N, P, 3), in the same frame."""
+        """(N, K, 3) m: the key points for parts at R (N, P, 3, 3), t (N, P, 3), in the same frame."""
         out: Array = t[:, self.keypoint_parts]
         away = self._away
         turned = np.matmul(R[:, self.keypoint_parts[away]], self.keypoint_offsets[away, :, None])[..., 0]
@@ -76,7 +76,7 @@ class Kinematics:
         return out
 
     def joint_axes(self, R: Array, pose: Array) -> Array:
-        """(N, J, 3): the joints' axes for parts turned to R (N, P, 3, 3) by joint angles (N, J), in R's frame."""
+        """(N, J, 3): the joints' axes, in R's frame, for parts turned to R (N, P, 3, 3) by joint angles (N, J)."""
         out = np.empty((len(pose), len(self.axes), 3))
         for part in range(1, len(self.parents)):
             joints = self.joints_of[part]
@@ -100,12 +100,12 @@ class Kinematics:
 
     @cached_property
     def joints_of(self) -> tuple[Array, ...]:
-        """By part, the indices of the joints that turn it."""
+        """For each part, the indices of the joints that turn it."""
         return tuple(np.flatnonzero(self.joint_parts == part) for part in range(len(self.parents)))
 
     @cached_property
     def beyond(self) -> tuple[Array, ...]:
-        """By part, the key points that move when it turns: its own and those beyond, except the one at its origin."""
+        """For each part, the key points that move when it turns: its own, except at its origin, and those beyond it."""
         found = []
         for part in range(len(self.parents)):
             own = {part}
@@ -135,7 +135,7 @@ class Kinematics:
 
     @cached_property
     def _levels(self) -> tuple[tuple[Array, Array], ...]:
-        """Parts by their distance from the palm, with their parents."""
+        """Parts grouped by their number of ancestors, without the palm; each group with its parents."""
         depth = [0]
         for parent in self.parents[1:].tolist():
             depth.append(depth[parent] + 1)

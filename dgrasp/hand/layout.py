@@ -1,6 +1,6 @@
-"""What a hand consists of, by name: joints, parts, key points and fingers, in the orders of all arrays about it.
+"""Names of a hand's joints, parts, key points and fingers, in the orders of all arrays about the hand.
 
-Nothing here is a number of one particular hand. A `HandLayout` is made from a URDF (`dgrasp.hand.load`).
+No number here belongs to one particular hand. `dgrasp.hand.load` makes a `HandLayout` from a URDF.
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ N_WRIST = len(WRIST_JOINTS)
 
 @dataclass(frozen=True)
 class HandNames:
-    """What label files store of a hand, so that their columns have names.
+    """The names that label files store of a hand, one per column of their arrays.
 
-    joints: the finger joints, without the wrist's six. parts: those that can touch. keypoints: the wrist first.
+    joints: the finger joints, without the wrist's six. parts: those that can touch. keypoints: the wrist comes first.
     """
 
     joints: tuple[str, ...]
@@ -48,8 +48,8 @@ class HandLayout:
     """Names and indices of a hand with J finger joints, P parts and K key points.
 
     names: see `HandNames`; the first part is the palm, the first key point the wrist. fingers: in the order of their
-    joints. tips: key points at the ends of the fingers. thumb: the finger that opposes the others, None where no finger
-    is called a thumb. side: which human hand it resembles; None for a hand without a mirror image.
+    joints. tips: key points at the ends of the fingers. thumb: the finger that opposes the others, None unless exactly
+    one finger is called a thumb. side: which human hand it resembles; None for a hand without a mirror image.
     """
 
     names: HandNames
@@ -60,22 +60,22 @@ class HandLayout:
 
     @property
     def n_joints(self) -> int:
-        """J, the finger joints."""
+        """J, the number of finger joints."""
         return len(self.names.joints)
 
     @property
     def n_dof(self) -> int:
-        """Generalised coordinates: the wrist's six and the finger joints."""
+        """D, the number of generalised coordinates: the wrist's six and the finger joints."""
         return N_WRIST + self.n_joints
 
     @property
     def n_parts(self) -> int:
-        """P."""
+        """P, the number of parts."""
         return len(self.names.parts)
 
     @property
     def n_keypoints(self) -> int:
-        """K."""
+        """K, the number of key points."""
         return len(self.names.keypoints)
 
     @cached_property
@@ -85,7 +85,7 @@ class HandLayout:
 
     @cached_property
     def finger_of_part(self) -> tuple[int, ...]:
-        """(P,) the finger that each part belongs to; -1 for the palm."""
+        """(P,) index of the finger that each part belongs to; -1 for the palm."""
         owner = {part: index for index, finger in enumerate(self.fingers) for part in finger.parts}
         return tuple(owner.get(part, -1) for part in range(self.n_parts))
 
@@ -95,5 +95,5 @@ class HandLayout:
         return tuple(finger.parts[-1] for finger in self.fingers)
 
     def action_size(self, task: str) -> int:
-        """How many numbers the policy of an `env.task` gives: all joints, or for "motion" the wrist's alone."""
+        """Size of the policy's action for an `env.task`: the wrist's joints alone for "motion", else all joints."""
         return N_WRIST if task == "motion" else self.n_dof

@@ -1,4 +1,4 @@
-"""A hand from a URDF: which links are parts, what hangs on what, where the key points are."""
+"""Load a hand from a URDF: find its parts, their parents and its key points."""
 
 from __future__ import annotations
 
@@ -18,22 +18,22 @@ from raisim_like.errors import UrdfError
 from raisim_like.urdf import UrdfModel, read_urdf
 
 THUMB = "thumb"
-"""A finger is the thumb where the name of one of its links or joints holds this."""
+"""A finger is a thumb if its name, or that of one of its joints, contains this word."""
 
 
 def load_hand(
     path: Path, hand_id: str, side: Side | None = "right", weight_carried: bool = True, mano: bool = False
 ) -> HandModel:
-    """The hand of a URDF.
+    """Load the hand of a URDF. Raises `DataError` for any other URDF.
 
     The first six joints are the wrist's: prismatic along x, y, z and revolute about x, y, z, all at the base's origin.
     All others are revolute and turn the parts of fingers that hang on the palm, the link of the sixth joint. Joints
-    that share an origin turn one part, and the links between them have no shapes. A fingertip is marked by a link that
-    is fixed to the finger's last part; without one it is the farthest point of that part's shapes.
+    that share an origin turn one part, and the links between them have no shapes. A link fixed to the finger's last
+    part marks the fingertip. Without such a link, the fingertip is the farthest point of that part's shapes.
 
-    side: which human hand it resembles. weight_carried: whether an arm, which no joint models, supports the hand's
-    weight. False for the authors' hand, whose palm has its mass on the first slider and hardly pulls the others down.
-    mano: refuse a hand whose joints are not MANO's. Such a hand gets MANO's names in any case. Raises `DataError`.
+    side: which human hand it resembles. weight_carried: whether an unmodelled arm supports the hand's weight. False for
+    the authors' hand, whose palm has its mass on the first slider and hardly pulls the other joints down. mano: refuse
+    a hand whose joints are not MANO's. A hand with MANO's joints gets MANO's names, whatever `mano` is.
     """
     try:
         urdf = read_urdf(path)
@@ -86,11 +86,11 @@ def _check_wrist(path: Path, urdf: UrdfModel) -> None:
             raise DataError(f"{path}: joint {i} ({link.joint}) must hang on the joint before it")
     early = [link.joint for link in urdf.links[N_WRIST:] if link.parent < N_WRIST - 1]
     if early:
-        raise DataError(f"{path}: joint {early[0]} hangs on a link of the wrist; fingers hang on the palm, which is "
-                        f"the link of joint {urdf.links[N_WRIST - 1].joint}")
+        raise DataError(f"{path}: joint {early[0]} hangs on a link of the wrist; fingers must hang on the palm, which "
+                        f"is the link of joint {urdf.links[N_WRIST - 1].joint}")
     sliding = [link.joint for link in urdf.links[N_WRIST:] if link.kind != "revolute"]
     if sliding:
-        raise DataError(f"{path}: joint {sliding[0]} is prismatic; finger joints are revolute")
+        raise DataError(f"{path}: joint {sliding[0]} is prismatic; finger joints must be revolute")
 
 
 def _parts(path: Path, urdf: UrdfModel) -> list[list[int]]:
@@ -113,7 +113,7 @@ def _parts(path: Path, urdf: UrdfModel) -> list[list[int]]:
 
 
 def _keypoints(path: Path, urdf: UrdfModel, part_links: Array, parents: Array) -> list[tuple[int, Array, str]]:
-    """(part, offset in its frame, name) of each key point: the wrist, each part's origin, and tips after the last."""
+    """(part, offset in its frame, name) of each key point: the wrist, each part's origin, and each finger's tip."""
     points = [(0, np.zeros(3), "wrist")]
     for part in range(1, len(part_links)):
         link = urdf.links[int(part_links[part])]

@@ -17,9 +17,9 @@ from raisim_like.urdf import UrdfModel
 class HandModel:
     """A hand of a URDF with D generalised coordinates: the wrist's six (`layout.WRIST_JOINTS`), then J finger joints.
 
-    layout: names and indices. chain: forward kinematics. limits: (D, 2) m or rad. part_links: (P,) the URDF's moving
-    link that each part is. rest: (J,) rad, the finger angles of a hand at rest, within the limits.
-    carried_mass: kg of the hand that an unmodelled arm supports (`load.load_hand`).
+    layout: names and indices. chain: forward kinematics. limits: (D, 2) m or rad. part_links: (P,) index of each part's
+    moving link in the URDF. rest: (J,) rad, the finger angles of a hand at rest, within the limits. carried_mass: hand
+    mass (kg) that an unmodelled arm supports (`load.load_hand`).
     """
 
     id: str
@@ -42,7 +42,7 @@ class HandModel:
         return np.asarray(self.chain.keypoint_offsets[list(self.layout.tips)])
 
     def forward(self, gc: Array, R_WH0: Array, wrist_start_W: Array) -> tuple[Array, Array]:
-        """Wrist rotations (N, 3, 3) and key points (N, K, 3), world, of coordinates gc (N, D).
+        """Wrist rotations (N, 3, 3) and key points (N, K, 3) m, world, for coordinates gc (N, D).
 
         R_WH0 (N, 3, 3), wrist_start_W (N, 3): the frame H0 that gc[:, :6] is relative to.
         """

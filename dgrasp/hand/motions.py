@@ -1,9 +1,9 @@
-"""How a hand's joints move in life: motions, their angles, and a Gaussian prior of grasping hands.
+"""Natural motions of a hand's joints, and a Gaussian prior over their angles in grasping hands.
 
-For hands with MANO's joints the motions are anatomical: each turns about an axis of `free.anatomy.anatomical_axes`, the
-outer joint of a finger follows the middle one by two thirds, and neighbouring fingers bend alike. A motion's angle
-times its axis is taken for Euler angles, as the joint limits do. No recorded hands are in it. For other hands each
-joint is a motion, and the prior follows from the joint limits.
+For hands with MANO's joints the motions are anatomical: each turns about an axis of `free.anatomy.anatomical_axes`. In
+the prior, the outer joint of a finger follows the middle one by two thirds, and neighbouring fingers bend alike. A
+motion's angle times its axis is used as Euler angles, as in the joint limits. The prior uses no recorded hands. For
+other hands, each joint is a motion, and the prior follows from the joint limits.
 """
 
 from __future__ import annotations
@@ -23,7 +23,8 @@ from dgrasp.types import Array
 
 _FINGER_MOTIONS = (("spread", 0, 1), ("proximal", 0, 2), ("middle", 1, 2), ("distal", 2, 2))
 _THUMB_MOTIONS = (("twist", 0, 0), ("lift", 0, 1), ("proximal", 0, 2), ("middle", 1, 2), ("distal", 2, 2))
-"""Name, joint, and axis: twist, to the side (for the thumb: out of the palm's plane), flexion."""
+"""Name, joint, and axis of each motion. The axes are twist, to the side (for the thumb: out of the palm's plane), and
+flexion."""
 
 MANO_MOTIONS = (
     *(f"{finger}_{name}" for finger in FINGERS[:4] for name, _, _ in _FINGER_MOTIONS),
@@ -36,25 +37,25 @@ _THUMB_MEAN_DEG = (0.0, 28.0, 2.0, 12.0, 18.0)
 _SPREAD_DEG, _PROXIMAL_DEG, _MIDDLE_DEG, _DISTAL_DEG = 6.0, 18.0, 20.0, 6.0
 _THUMB_DEG = (6.0, 14.0, 12.0, 12.0, 14.0)
 _FOLLOWS = 2.0 / 3.0
-"""How far the distal joint follows the middle one."""
+"""Share by which the distal joint follows the middle one."""
 _ALIKE = 0.75
-"""Correlation of the same flexion in neighbouring fingers; its powers for those farther apart."""
+"""Correlation of the same flexion in neighbouring fingers; fingers n apart have the n-th power of it."""
 
 _CLOSED, _SPAN = 0.4, 0.2
-"""Other hands: the mean of a flexion as a share of its farther limit, and its deviation as a share of its range."""
+"""Other hands: mean of a flexion as a share of its farther limit, and deviation of a joint as a share of its range."""
 _FLEXION = 1.5
-"""A joint flexes where its farther limit is this many times as far from zero as the nearer one."""
+"""A joint is a flexion if its farther limit is more than this many times as far from zero as the nearer one."""
 
 
 @dataclass(frozen=True, eq=False)
 class HandMotions:
     """M motions of a hand with J finger joints and P parts.
 
-    to_pose (M, J): the joint angles that a motion of 1 rad makes. palmar (P, 3): where each part's pad faces, in its
-    frame. mean (M,), factor (M, M): of the prior; mean + factor @ z with standard normal z is drawn from it. flexions
-    (M,) bool: the motions that close the hand. thumb: the finger that opposes the others. thumb_side: 1 where the
-    wrist's z axis points to the thumb's side, -1 where away from it, 0 where the hand has no such anatomy, and then the
-    wrist may be turned in any way.
+    to_pose (M, J): the joint angles of a motion of 1 rad. palmar (P, 3): the direction that each part's pad faces, in
+    the part's frame. mean (M,), factor (M, M): the prior; mean + factor @ z with standard normal z is a draw from it.
+    flexions (M,) bool: the motions that close the hand. thumb: index of the finger that opposes the others. thumb_side:
+    1 if the wrist's z axis points to the thumb's side, -1 if away from it, 0 if the hand has no such anatomy. With 0,
+    the wrist may be turned in any way.
     """
 
     to_pose: Array
@@ -72,12 +73,12 @@ class HandMotions:
 
 
 def hand_motions(hand: HandModel) -> HandMotions:
-    """The anatomical motions of a hand with MANO's joints, turned to its own bones; of other hands their joints'."""
+    """The anatomical motions of a hand with MANO's joints, turned to its own bones; for other hands, one per joint."""
     return _anatomical(hand) if hand.layout.names == MANO_NAMES else _of_ranges(hand)
 
 
 def _anatomical(hand: HandModel) -> HandMotions:
-    """In MANO's wrist frame."""
+    """The anatomical motions, from axes in MANO's wrist frame."""
     mirror, turns = (MIRROR, MIRROR_ANGLES) if hand.layout.side == "left" else (np.ones(3), np.ones(3))
     to_pose = np.zeros((len(MANO_MOTIONS), N_FINGER_DOF))
     palmar = np.zeros((len(PART_PARENT), 3))
@@ -102,11 +103,11 @@ def _anatomical(hand: HandModel) -> HandMotions:
 
 
 def _covariance() -> Array:
-    """(M, M) rad^2 of the anatomical motions."""
+    """(M, M) rad^2: the covariance of the anatomical motions."""
     own = np.diag(np.square([_SPREAD_DEG, _PROXIMAL_DEG, _MIDDLE_DEG, 0.0]))
     alike = np.array([[_ALIKE ** abs(i - j) for j in range(4)] for i in range(4)])
     fingers = np.kron(alike, own)
-    # The fingers' spread is their own.
+    # Each finger spreads independently of the others.
     for i in range(4):
         for j in range(4):
             fingers[4 * i, 4 * j] = _SPREAD_DEG**2 if i == j else 0.0
@@ -131,7 +132,8 @@ def _of_ranges(hand: HandModel) -> HandMotions:
 
 
 def _pads(hand: HandModel, closing: Array, flexions: Array) -> Array:
-    """(P, 3): where each part moves as its finger closes, in its own frame; for the palm the fingers' mean."""
+    """(P, 3): unit direction in which each part moves as its finger closes, in its own frame; the palm has the fingers'
+    mean."""
     chain, layout = hand.chain, hand.layout
     zero = np.zeros((1, layout.n_joints))
     R, t = (values[0] for values in chain.part_frames(np.eye(3)[None], np.zeros((1, 3)), zero))
@@ -151,7 +153,7 @@ def _pads(hand: HandModel, closing: Array, flexions: Array) -> Array:
 
 
 def _opposing(hand: HandModel, palmar: Array) -> int:
-    """The finger called thumb, else the one whose root is farthest from the others'."""
+    """Index of the finger called thumb, else of the one whose root is farthest from the others'."""
     layout = hand.layout
     if layout.thumb is not None:
         return layout.thumb

@@ -1,4 +1,4 @@
-"""The hand's surface as spheres, and where its parts are, for many hands at once."""
+"""The hand's surface as spheres, placed for many hands at once."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _FACE_SPACING = 0.015
 class HandSpheres:
     """The hand's collision shapes as spheres: (P, 3) centres in their parts' frames, (P,) radii, (P,) parts.
 
-    n_parts: how many parts the hand has.
+    n_parts: the number of the hand's parts.
     """
 
     centers: Array
@@ -33,7 +33,8 @@ class HandSpheres:
 
     @classmethod
     def of_hand(cls, hand: HandModel) -> HandSpheres:
-        """Capsules become spheres along their axes, boxes points on their faces, hulls their vertices (radius 0)."""
+        """The spheres of a hand. Capsules become spheres along their axes, boxes points on their faces (radius 0), and
+        hulls their vertices (radius 0)."""
         centers: list[Array] = []
         radii: list[Array] = []
         parts: list[Array] = []
@@ -45,16 +46,16 @@ class HandSpheres:
                 radii.append(np.full(len(local), radius))
                 parts.append(np.full(len(local), part))
         if not centers:
-            raise DataError(f"hand {hand.id}: it has no collision shapes, so that nothing can be measured on them; "
-                            "expected one whose parts have some")
+            raise DataError(f"hand {hand.id}: it has no collision shapes, so nothing can be measured on them; "
+                            "expected a hand whose parts have some")
         return cls(np.concatenate(centers), np.concatenate(radii), np.concatenate(parts), hand.layout.n_parts)
 
     def take(self, rows: Array) -> HandSpheres:
-        """The spheres of these rows (a mask)."""
+        """The spheres that the mask `rows` selects."""
         return HandSpheres(self.centers[rows], self.radii[rows], self.parts[rows], self.n_parts)
 
     def place(self, R: Array, t: Array) -> Array:
-        """(N, P, 3) centres for the frames of the parts, as `Kinematics.part_frames` gives them."""
+        """(N, P, 3) centres, for the parts' frames as `Kinematics.part_frames` gives them."""
         out = np.empty((len(R), len(self.radii), 3))
         for part in range(self.n_parts):
             mine = self.parts == part
@@ -62,7 +63,7 @@ class HandSpheres:
         return out
 
     def per_part(self, distances: Array) -> Array:
-        """(N, number of parts) smallest distance of each part's surface, from distances (N, P) of the centres."""
+        """(N, number of parts) smallest distance from each part's surface, for distances (N, P) from the centres."""
         out = np.full((len(distances), self.n_parts), np.inf)
         for part in range(self.n_parts):
             mine = self.parts == part
@@ -78,7 +79,7 @@ def _spheres(shape: Shape) -> tuple[Array, float]:
         z = np.linspace(-length / 2, length / 2, max(2, int(np.ceil(length / _AXIS_SPACING)) + 1))
         return np.stack([0 * z, 0 * z, z], axis=1), radius
     if shape.kind == "hull":
-        import trimesh  # Late: it takes a second to import.
+        import trimesh  # Imported late: it takes a second.
 
         return np.array(trimesh.load_mesh(shape.file).vertices), 0.0
     if shape.kind != "box":

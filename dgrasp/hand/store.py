@@ -1,7 +1,7 @@
-"""A built hand's folder, and any hand by name: what `hand=` and `dgrasp hand report` take.
+"""Read a built hand's folder, and find any hand by name, as `hand=` and `dgrasp hand report` take it.
 
-A folder holds `hand.urdf`, its meshes, and `hand.json`, which says what it was made of. The hand's id ends in a hash
-of what the physics reads, so labels made for one hand never pass for those of another.
+A folder holds `hand.urdf`, its meshes, and `hand.json`, which says what the hand was made from. The hand's id ends in a
+hash of what the physics reads, so labels made for one hand are never taken for those of another.
 """
 
 from __future__ import annotations
@@ -45,13 +45,13 @@ class HandSource:
     meta: dict[str, Any] = field(default_factory=dict)
 
     def load(self) -> HandModel:
-        """The hand; a `DataError` says what is wrong with its URDF."""
+        """Load the hand. Raises `DataError` that says what is wrong with its URDF."""
         return load_hand(self.urdf, self.id, self.side, self.weight_carried, self.mano)
 
 
 @dataclass(frozen=True)
 class NamedHand:
-    """A hand and what is known of how it was made: hand.json of a built one, else empty."""
+    """A hand and how it was made. meta: hand.json of a built hand, else empty."""
 
     model: HandModel
     meta: dict[str, Any]
@@ -63,7 +63,7 @@ def is_built_hand(folder: Path) -> bool:
 
 
 def content_hash(urdf: Path) -> str:
-    """SHA-256 of a URDF and of the meshes that it collides with, by their names; hexadecimal."""
+    """SHA-256 of a URDF and of its collision meshes with their names, in hexadecimal."""
     try:
         shapes = [shape for link in read_urdf(urdf).links for shape in link.shapes]
     except UrdfError as error:
@@ -83,7 +83,7 @@ def hand_id(name: str, urdf: Path) -> str:
 def built_hand(folder: Path) -> tuple[Path, str, dict[str, Any]]:
     """URDF, id and description of a built hand's folder.
 
-    Raises `DataError` where the folder is no such hand, or was changed after it was built.
+    Raises `DataError` if the folder holds no built hand, or was changed after the hand was built.
     """
     path = folder / META_FILE
     try:
@@ -101,7 +101,7 @@ def built_hand(folder: Path) -> tuple[Path, str, dict[str, Any]]:
     found = hand_id(meta["name"], folder / URDF_FILE)
     if found != meta["id"]:
         raise DataError(f"{folder}: the files give the hand {found!r}, but {META_FILE} says {meta['id']!r}; they were "
-                        "changed after it was built, and labels made for it may no longer fit; build it again")
+                        "changed after the build, and labels made for the hand may no longer fit; build it again")
     return folder / URDF_FILE, found, meta
 
 
@@ -111,9 +111,9 @@ def _is_figures(row: Any) -> bool:
 
 
 def find_hand(name: str) -> HandSource | None:
-    """A hand by folder or URDF file; None where there is neither.
+    """Find a hand by its folder or URDF file; None if there is neither.
 
-    A URDF's id is its file's name without the suffix; the variants of the authors' hand are all "mano_mean".
+    A URDF's id is its file's name without the suffix. All variants of the authors' hand have the id "mano_mean".
     """
     path = Path(os.path.expanduser(name))
     if os.path.isdir(path) and is_built_hand(path):
@@ -128,12 +128,12 @@ def find_hand(name: str) -> HandSource | None:
 
 
 def free_source(urdf: Path) -> HandSource:
-    """The free hand."""
+    """The free hand, from its URDF."""
     return HandSource(urdf, FREE_HAND, mano=True)
 
 
 def authors_source(urdf: Path) -> HandSource:
-    """The hand of the authors' release. Its palm has its mass on the first slider, so that it needs no arm."""
+    """The hand of the authors' release. Its palm has its mass on the first slider, so it needs no arm."""
     return HandSource(urdf, AUTHORS_HAND, weight_carried=False, mano=True)
 
 
@@ -143,7 +143,7 @@ def _built_source(folder: Path) -> HandSource:
 
 
 def open_hand(name: str) -> NamedHand:
-    """A hand by name: "free", a built hand's folder, or a URDF file. A `DataError` says what else was given."""
+    """Open a hand by name: "free", a built hand's folder, or a URDF file. Raises `DataError` for any other name."""
     if name == FREE_HAND and not os.path.exists(name):
         source: HandSource | None = free_source(data_root() / "free" / "hand" / FREE_URDF)
     else:

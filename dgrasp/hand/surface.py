@@ -1,4 +1,4 @@
-"""The hand's surface in any pose: the skinned mesh, its rigid parts, or its collision shapes, whichever is at hand."""
+"""The hand's surface in any pose: the skinned mesh, its rigid parts, or its collision shapes, whichever exists."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ from raisim_like.rotations import matrix_from_euler, transform
 from raisim_like.shapes import Shape
 
 SKIN, PART_MESHES, COLLISION = "skinned mesh", "part meshes", "collision shapes"
-"""Kinds of surface, the paper's first."""
+"""Kinds of surface; the first is the paper's."""
 
 SAME_JOINTS = 0.002
-"""m. A MANO model belongs to a hand whose joints lie this close to its own."""
+"""m. A MANO model belongs to a hand if the joints of both lie this close together."""
 
 
 class HandSurface(Protocol):
@@ -55,7 +55,7 @@ class RigidSurface:
 
 
 class SkinnedSurface:
-    """A skinned model, cut into 16 closed pieces, so that a hand that touches itself is not counted twice."""
+    """A skinned model cut into 16 closed pieces, so that overlaps of a hand with itself are not counted twice."""
 
     kind = SKIN
 
@@ -73,11 +73,11 @@ class SkinnedSurface:
 
 
 def hand_surface(hand: HandModel, mano: Path | None, meta: dict[str, Any]) -> HandSurface:
-    """The best surface that there is: skinned if `mano` names MANO's file or the hand is the free one, else the part
+    """The best available surface: skinned if `mano` names MANO's file or the hand is the free one, else the part
     meshes, else the collision shapes.
 
-    meta: what is known of how the hand was made (`store.NamedHand.meta`), for its side and shape; empty for the mean
-    shape of a right hand. Raises `DataError` where the file is no MANO hand, or another hand than this one.
+    meta: how the hand was made (`store.NamedHand.meta`), for its side and shape; empty for the mean shape of a right
+    hand. Raises `DataError` if the file is not a MANO hand, or is another hand than this one.
     """
     if mano is not None:
         return _skinned(hand, mano, meta)
@@ -85,7 +85,7 @@ def hand_surface(hand: HandModel, mano: Path | None, meta: dict[str, Any]) -> Ha
 
 
 def rigid_surface(hand: HandModel) -> RigidSurface:
-    """The part meshes, of the free hand its skin's, else the collision shapes; a `DataError` where there is neither."""
+    """The part meshes (for the free hand, of its skin), else the collision shapes. Raises `DataError` without both."""
     meshes = _part_meshes(hand) or _skin_parts(hand)
     if meshes is not None:
         return RigidSurface(PART_MESHES, hand, list(range(hand.layout.n_parts)), meshes)
@@ -108,7 +108,7 @@ def _skinned(hand: HandModel, file: Path, meta: dict[str, Any]) -> SkinnedSurfac
 
 
 def _free_skinned(hand: HandModel, meta: dict[str, Any]) -> SkinnedSurface | None:
-    """The free hand's skin, for it and for hands that were built of it; None for another hand."""
+    """The free hand's skin, for the free hand and for hands that were built from it; None for another hand."""
     if hand.id != HAND_NAME and meta.get("model_file") != SKIN_FILE:
         return None
     model, betas, joints = _shaped(free_skin(), meta)
@@ -126,10 +126,10 @@ def _skin_parts(hand: HandModel) -> list[Body] | None:
 
 
 def mano_of_hand(file: Path, offsets: Array, hand_id: str, meta: dict[str, Any]) -> tuple[ManoModel, Array, Array]:
-    """MANO's model of a hand, of its side, with its betas (S',) and joints, m, order of `skeleton.PARTS`.
+    """MANO's model of a hand's side, with the hand's betas (S',) and joints (16, 3) m, order of `skeleton.PARTS`.
 
-    offsets: the hand's own, m. meta: side and betas, as in `hand_surface`. Raises `DataError` where the file is
-    no MANO hand, or another hand than this one.
+    offsets: the hand's own, m. meta: side and betas, as in `hand_surface`. Raises `DataError` if the file is not a MANO
+    hand, or is another hand than this one.
     """
     model, betas, joints = _shaped(read_mano(file), meta)
     off = _apart(joints, offsets)
@@ -148,7 +148,8 @@ def _shaped(model: ManoModel, meta: dict[str, Any]) -> tuple[ManoModel, Array, A
 
 
 def _apart(joints: Array, offsets: Array) -> float:
-    """m: how far MANO's joints are at most from where a hand with these offsets has them; inf for other joints."""
+    """m: largest difference between the offsets of MANO's joints and those of a hand; inf if its parts are not MANO's.
+    """
     if len(offsets) != N_PARTS:
         return float("inf")
     own = np.array([joints[i] - joints[PART_PARENT[i]] for i in range(1, N_PARTS)])
@@ -156,11 +157,11 @@ def _apart(joints: Array, offsets: Array) -> float:
 
 
 def _part_meshes(hand: HandModel) -> list[Body] | None:
-    """The parts' visual meshes, one body per part; None unless every part has one that is there."""
+    """The parts' visual meshes, one body per part; None unless every part has a mesh whose file exists."""
     visuals: list[list[tuple[Array, Array]]] = [[] for _ in range(hand.layout.n_parts)]
     part_of = {int(link): part for part, link in enumerate(hand.part_links)}
     text = hand.urdf.path.read_text(encoding="utf-8")
-    # As in `read_urdf`, which has read the file before: a wrong XML version does no harm.
+    # The XML declaration is skipped, as in `read_urdf`: a wrong version in it does no harm.
     root = ElementTree.fromstring(text.partition("?>")[2] if text.lstrip().startswith("<?xml") else text)
     for element in root.findall("link"):
         link, T_link = hand.urdf.frames[element.get("name") or ""]

@@ -1,4 +1,4 @@
-"""Load labels from any file that the project reads, and choose among them."""
+"""Load labels from any file that the project reads, and select some of them."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ from dgrasp.types import GraspLabel
 
 @dataclass(frozen=True)
 class LabelSource:
-    """Labels that `labels.source` names: which files hold them, and under which terms.
+    """Labels that `labels.source` names: their files and their licence.
 
     files: split ("train", "test") -> name of its file in labels/ of the data's folder. comparable_with_paper: whether
-    the paper's tables are about these labels.
+    the paper's tables report on these labels.
     """
 
     name: str
@@ -44,7 +44,7 @@ _RELEASED = (
                 licences.MANO, comparable_with_paper=True),
 )  # fmt: skip
 RELEASED = {source.name: source for source in _RELEASED}
-"""The sources of a folder laid out like the authors' release, by name: those that a config can name."""
+"""The sources in a folder laid out like the authors' release, by the name that a config gives them."""
 
 FREE = LabelSource("free", {"train": "free_train.npz", "test": "free_test.npz"}, licences.PROJECT,
                    comparable_with_paper=False)  # fmt: skip
@@ -52,7 +52,7 @@ FREE = LabelSource("free", {"train": "free_train.npz", "test": "free_test.npz"},
 
 
 class FileContent(NamedTuple):
-    """What a label file holds: labels in its order, the hand's id and names, and its terms if it states any."""
+    """The content of a label file: labels in its order, the hand's id and names, and the licence if it states one."""
 
     labels: list[GraspLabel]
     hand: str
@@ -62,7 +62,10 @@ class FileContent(NamedTuple):
 
 @dataclass(frozen=True)
 class LabelFormat:
-    """A format of label files. head: the first bytes of each. name, expected: what messages call it, and ask for."""
+    """A format of label files.
+
+    head: the first bytes of each such file. name: what messages call such a file. expected: what messages ask for.
+    """
 
     head: bytes
     name: str
@@ -83,17 +86,17 @@ FORMATS = (
     LabelFormat(b"\x80", "a joblib pickle", "a release's .pkl", _read_pickle),
     LabelFormat(b"PK", "a .npz file", "a .npz written by `dgrasp labels`", _read_npz),
 )
-"""The formats that are read. A file's content, not its name, says which one it has."""
+"""The formats that are read. A file's content, not its name, determines its format."""
 
 
 @dataclass(frozen=True)
 class LabelSet:
     """The labels of one file.
 
-    labels: in the file's order. hand: id of the hand they were made for. names: the joints, parts and key points that
-    the arrays are about. licence: the file's terms. source: the file. sha256: of its bytes. published_as: (source,
-    split) for a file of the authors' release, else None. comparable_with_paper: whether the paper's tables are about
-    these labels.
+    labels: in the file's order. hand: id of the hand that they were made for. names: the joints, parts and key points
+    in the order of the arrays. licence: the file's terms. source: the file. sha256: of its bytes. published_as:
+    (source, split) for a file of the authors' release, else None. comparable_with_paper: whether the paper's tables
+    report on these labels.
     """
 
     labels: list[GraspLabel]
@@ -120,9 +123,9 @@ def sha256_of(path: Path) -> str:
 
 
 def load_labels(path: Path) -> LabelSet:
-    """The labels of `path`, in any of `FORMATS`.
+    """Load the labels of `path`, in any of `FORMATS`.
 
-    Raises `DataError` for a file that is missing, of no such format, or bad.
+    Raises `DataError` for a file that is missing, damaged, or in no such format.
     """
     path, expected = Path(path), " or ".join(form.expected for form in FORMATS)
     if not os.path.isfile(path):
@@ -137,7 +140,7 @@ def load_labels(path: Path) -> LabelSet:
         formats = " nor ".join(form.name for form in FORMATS)
         raise DataError(f"{path}: neither {formats} (it begins with {head!r}); expected {expected}")
     labels, hand, names, licence = form.read(path)
-    # The files of the release state nothing of themselves: their names do.
+    # The files of the release do not state their source; their names tell it.
     known = published_as(path.name) if licence is None else None
     source = RELEASED[known[0]] if known else None
     if licence is None:
@@ -153,10 +156,10 @@ def published_as(name: str) -> tuple[str, str] | None:
 
 
 def select(labels: LabelSet, objects: Sequence[str] = (), limit_per_object: int | None = None) -> LabelSet:
-    """The labels of `objects` (all where empty), of each at most the first `limit_per_object`, order kept.
+    """Select the labels of `objects` (all if empty), at most the first `limit_per_object` of each, in their order.
 
-    Objects are given as `resolve_object` takes them, or as sets (`splits.object_set`). An object that is unknown or has
-    no label here is a `DataError` that names the nearest one.
+    Objects are given as `resolve_object` takes them, or as sets (`splits.object_set`). Raises `DataError` naming the
+    nearest object if one is unknown or has no label here.
     """
     there = labels.objects
     wanted = set(there)

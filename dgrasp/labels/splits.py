@@ -19,7 +19,7 @@ UNSEEN: dict[int, tuple[str, str, str]] = {
     5: ("008_pudding_box", "019_pitcher_base", "035_power_drill"),
     6: ("005_tomato_soup_can", "037_scissors", "040_large_marker"),
 }
-"""The paper's test sets by their numbers."""
+"""The paper's test sets by number."""
 
 _SET = re.compile(r"(seen|unseen)_(\d+)")
 

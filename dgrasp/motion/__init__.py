@@ -1,1 +1,1 @@
-"""Where motion synthesis brings the object: target poses and trajectories (paper, sections 3.3 and 4.5)."""
+"""Targets of motion synthesis: poses and trajectories of the object (paper, sections 3.3 and 4.5)."""

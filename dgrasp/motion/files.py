@@ -1,4 +1,4 @@
-"""Targets from a user's file: a list of poses, or a trajectory of pose over time (docs/motion.md)."""
+"""Read targets from a user's file: a list of poses, or a trajectory of poses over time (docs/motion.md)."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ FRAMES = ("world", "label")
 MAX_BYTES = 2**26
 MAX_SECONDS = 300.0
 MAX_POSITION = 10.0
-"""m. Beyond it a position is taken for another unit."""
+"""m. A position beyond it is taken to be in another unit."""
 QUATERNION_TOLERANCE = 1e-2
 _WORLD = ("x", "y", "z", "qw", "qx", "qy", "qz")
 _LABEL = ("dx", "dy", "dz", *_WORLD[3:])
@@ -32,10 +32,10 @@ _EXPECTED = (
 
 
 def read_targets(path: Path, period: float) -> TargetSet:
-    """The targets of a JSON, CSV or npz file, or of the authors' pickle; period: s per control step.
+    """Read the targets of a JSON, CSV or npz file, or of the authors' pickle. period: s per control step.
 
-    Without times each pose is a target of its own; with times they are one trajectory. Raises `DataError` naming file
-    and row.
+    Without times, each pose is a target of its own. With times, the poses are one trajectory. Raises `DataError` naming
+    file and row.
     """
     path = Path(path)
     try:
@@ -96,9 +96,9 @@ def _csv(path: Path, text: str) -> dict[str, Any]:
         try:
             values.append([float(row[header.index(name)]) for name in (*names, *(["t"] if "t" in header else []))])
         except (ValueError, IndexError):
-            raise DataError(f"{path}: row {number}: not a number in every column; {_EXPECTED}") from None
+            raise DataError(f"{path}: row {number}: not every column holds a number; {_EXPECTED}") from None
     if not values:
-        raise DataError(f"{path}: a first line and no rows; {_EXPECTED}")
+        raise DataError(f"{path}: no rows after the first line; {_EXPECTED}")
     table = np.array(values)
     columns = {"position": table[:, :3], "quaternion": table[:, 3:7], "frame": "world" if names is _WORLD else "label"}
     return columns | ({"time": table[:, 7]} if "t" in header else {})
@@ -113,7 +113,7 @@ def _array(path: Path, columns: dict[str, Any], name: str, width: int | None) ->
         if array.dtype.kind not in "iuf" or len(shape) != 1 or (width is not None and array.shape[-1] != width):
             raise ValueError
     except ValueError:
-        raise DataError(f"{path}: {name} is no plain array of that shape; {_EXPECTED}") from None
+        raise DataError(f"{path}: {name} is not a plain array of this shape; {_EXPECTED}") from None
     array = array.astype(float)
     _require(path, np.isfinite(array.reshape(len(array), -1)).all(axis=1), f"{name} is not finite")
     return array
@@ -123,8 +123,8 @@ def _poses(path: Path, columns: dict[str, Any]) -> Array:
     """(n, 4, 4), n > 0."""
     position, quaternion = _array(path, columns, "position", 3), _array(path, columns, "quaternion", 4)
     if len(position) != len(quaternion) or len(position) == 0:
-        raise DataError(f"{path}: {len(position)} positions and {len(quaternion)} quaternions; expected as many, and "
-                        "at least one")
+        raise DataError(f"{path}: {len(position)} positions and {len(quaternion)} quaternions; expected equal numbers, "
+                        "at least one of each")
     near = np.abs(position).max(axis=1) <= MAX_POSITION
     _require(path, near, f"the position is beyond {MAX_POSITION:g} m; expected metres")
     off = np.abs(np.linalg.norm(quaternion, axis=1) - 1.0)
@@ -137,9 +137,9 @@ def _time(path: Path, columns: dict[str, Any]) -> Array | None:
         return None
     time = _array(path, columns, "time", None)
     if len(time) != len(columns["position"]) or len(time) < 2:
-        raise DataError(f"{path}: {len(time)} times for {len(columns['position'])} poses; expected as many, at least 2")
+        raise DataError(f"{path}: {len(time)} times for {len(columns['position'])} poses; expected one each, 2 or more")
     later = np.diff(time, prepend=-np.inf) > 0.0
-    _require(path, later, "the time is not after that of the row before; expected increasing seconds")
+    _require(path, later, "the time is not later than in the row before; expected increasing seconds")
     if time[0] < 0.0 or time[-1] > MAX_SECONDS:
         raise DataError(f"{path}: times from {time[0]:g} to {time[-1]:g} s; expected 0 to {MAX_SECONDS:g} s")
     return time

@@ -1,4 +1,4 @@
-"""Trajectories of the object over time: two that come with the project, and how any is sampled."""
+"""Trajectories of the object: two that come with the project, and sampling of any trajectory."""
 
 from __future__ import annotations
 
@@ -9,18 +9,18 @@ from dgrasp.types import Array
 from raisim_like.rotations import matrix_from_rotation_vector, transform
 
 LIFT_S = 2.0
-"""s that both take to lift the object."""
+"""s that both trajectories take to lift the object."""
 CIRCLE_RADIUS, CIRCLE_LIFT, CIRCLE_S = 0.1, 0.15, 6.0
-"""m, m, and s for one turn."""
+"""Radius m, lift m, and s for one turn."""
 POUR_ANGLE, POUR_LIFT, TILT_S, POUR_S = 1.2, 0.2, 2.5, 1.0
-"""rad, m, s to tilt and again to come back, and s in between."""
+"""Tilt rad, lift m, s to tilt and again to return, and s in between."""
 
 
 def sample(time: Array, T: Array, period: float) -> Array:
-    """(P, 4, 4): the poses T (n, 4, 4) at times (n,) s at the end of each control step of `period` s, from 0 on.
+    """(P, 4, 4): poses at the end of each control step of `period` s from time 0 on.
 
-    Positions are interpolated linearly, rotations along the shortest arc. Before the first time and after the last one
-    the pose stays.
+    T (n, 4, 4): poses at the times `time` (n,) s. Positions are interpolated linearly, rotations along the shortest
+    arc. The pose is constant before the first time and after the last one.
     """
     from scipy.spatial.transform import Rotation, Slerp
 
@@ -31,7 +31,7 @@ def sample(time: Array, T: Array, period: float) -> Array:
 
 
 def circle(period: float) -> TargetSet:
-    """Lift the object, then lead it once around a level circle; it keeps its orientation."""
+    """Lift the object, then move it once around a level circle; it keeps its orientation."""
     time = np.arange(0.0, LIFT_S + CIRCLE_S + period, period)
     turned = 2.0 * np.pi * _smooth((time - LIFT_S) / CIRCLE_S)
     position = np.stack([CIRCLE_RADIUS * (1.0 - np.cos(turned)), CIRCLE_RADIUS * np.sin(turned),
@@ -50,7 +50,7 @@ def pour(period: float) -> TargetSet:
 
 
 PATHS = {"circle": circle, "pour": pour}
-"""By the name that `motion.targets` takes."""
+"""The trajectories by the names that `motion.targets` takes."""
 
 
 def _path(name: str, time: Array, position: Array, turn: Array, period: float) -> TargetSet:
@@ -59,6 +59,6 @@ def _path(name: str, time: Array, position: Array, turn: Array, period: float) -
 
 
 def _smooth(s: Array) -> Array:
-    """From 0 at s = 0 to 1 at s = 1, at rest at both ends and constant beyond."""
+    """A smooth step from 0 at s = 0 to 1 at s = 1, at rest at both ends and constant beyond."""
     s = np.clip(s, 0.0, 1.0)
     return np.asarray(s * s * (3.0 - 2.0 * s))

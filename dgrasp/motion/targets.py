@@ -1,4 +1,7 @@
-"""Target poses T_g of motion synthesis: the authors' set, an own one like it, one far from it, and what goes where."""
+"""Target poses T_g of motion synthesis.
+
+The authors' set, a set of our own like it, one far from it, and the assignment of targets to labels.
+"""
 
 from __future__ import annotations
 
@@ -19,18 +22,18 @@ EASY_FILE = "motion_eval_dict_easy.pkl"
 SET_SIZE = 100
 """Targets of a test set (paper, section 4.5)."""
 OOD_XY, OOD_Z = 0.4, (0.15, 0.5)
-"""m. Displacements of the own set, which leave out those of the authors' set: 0.2 sideways and 0.3 up at most."""
+"""m. Displacements of the set "ood", which leave out those of the authors' set: at most 0.2 sideways and 0.3 up."""
 OOD_ANGLE = (0.95, 1.5)
 """rad, about any axis; the authors' rotations reach 0.93."""
 _EASY_XY, _EASY_Z, _EASY_ANGLE = 0.2, 0.3, 0.5
-"""m, m, and rad of each Euler angle."""
+"""The authors' set: m sideways, m up, and rad of each Euler angle."""
 _LARGEST = (5.0, 2.0 * np.pi)
-"""m and rad, beyond which a file's numbers are in another unit."""
+"""m and rad. A file with larger numbers is taken to be in another unit."""
 
 
 @dataclass(frozen=True)
 class TargetSet:
-    """n targets, each of P poses, one per control step; a pose that stands has P = 1.
+    """n targets, each of P poses, one per control step; a target that stands still has P = 1.
 
     T: (n, P, 4, 4). relative: T moves the object away from its label's pose: the translation is added, the rotation is
     about the object's origin, both along the world's axes. Otherwise T is the object's pose in the world.
@@ -41,7 +44,7 @@ class TargetSet:
     relative: bool
 
     def place(self, which: Sequence[int] | Array, labels: Sequence[GraspLabel]) -> Array:
-        """The path (N, P, 4, 4) of T_WG for N labels, of which label i goes to target which[i]."""
+        """The paths (N, P, 4, 4) of T_WG for N labels; label i goes to target which[i]."""
         T = np.array(self.T[np.asarray(which, dtype=int)])
         if self.relative:
             T_WO = np.array([label.T_WO for label in labels])
@@ -51,10 +54,10 @@ class TargetSet:
 
 
 def easy_targets(path: Path) -> TargetSet:
-    """The authors' file: displacements `target_pos` (n, 3) m and `ang_noise` (n, 3) rad, intrinsic XYZ Euler angles.
+    """Read the authors' file: displacements `target_pos` (n, 3) m and `ang_noise` (n, 3) rad, intrinsic XYZ Euler.
 
-    Their code adds the first to the label's object position and turns the label's object by the second, in the world's
-    axes. Raises `DataError` for anything else.
+    Their code adds the first to the label's object position and turns the label's object by the second, about the
+    world's axes. Raises `DataError` for anything else.
     """
     content = read_joblib_arrays(path)
     arrays: list[Any] = [content.get(key) if isinstance(content, dict) else None for key in ("target_pos", "ang_noise")]
@@ -65,7 +68,7 @@ def easy_targets(path: Path) -> TargetSet:
                             f"ang_noise (n, 3) in radians, finite, and these {unit} within {largest:.3g}")
     position, angles = arrays
     if len(position) != len(angles):
-        raise DataError(f"{path}: {len(position)} positions and {len(angles)} rotations; expected as many")
+        raise DataError(f"{path}: {len(position)} positions and {len(angles)} rotations; expected equal numbers")
     return TargetSet("easy", transform(matrix_from_euler(angles), position)[:, None], relative=True)
 
 
@@ -84,12 +87,12 @@ def _draw_near(rng: np.random.Generator) -> Array:
 
 
 def ood_targets(seed: int) -> TargetSet:
-    """`SET_SIZE` random targets that none of the authors' could be: farther away, and turned farther.
+    """`SET_SIZE` random targets outside the range of the authors' set: farther away, and turned farther.
 
-    Positions are uniform in a box from which that of the authors' is cut out; rotations have a uniform axis and a
-    uniform angle in `OOD_ANGLE`.
+    Positions are uniform in a box from which the box of the authors' set is cut out. Rotations have a uniform axis and
+    a uniform angle in `OOD_ANGLE`.
     """
-    # The spawn key keeps the stream apart from the others of the same seed.
+    # The spawn key keeps this stream apart from others with the same seed.
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(4,)))
     positions: list[Array] = []
     while len(positions) < SET_SIZE:
@@ -103,11 +106,11 @@ def ood_targets(seed: int) -> TargetSet:
 
 
 OWN_SETS = {"near": near_targets, "ood": ood_targets}
-"""Sets that are drawn from a seed, by the name that `--motion` gives them."""
+"""Sets that are drawn from a seed, by their names in `--motion`."""
 
 
 def training_target(label: GraspLabel, rng: np.random.Generator) -> Array:
-    """(4, 4): a target T_WG to learn with, drawn like those of `near_targets`."""
+    """(4, 4): a target T_WG for training, drawn like those of `near_targets`."""
     placed: Array = TargetSet("training", _draw_near(rng)[None, None], relative=True).place([0], [label])[0, 0]
     return placed
 
@@ -115,8 +118,8 @@ def training_target(label: GraspLabel, rng: np.random.Generator) -> Array:
 def draw_targets(n_targets: int, n_labels: int, per_label: int | None, rng: np.random.Generator) -> Array:
     """(rounds, n_labels): which target each label goes to in each round.
 
-    per_label rounds use all targets equally often, as nearly as that goes; None makes one round for each target, in
-    which all labels go to it.
+    per_label: the number of rounds; together they use all targets as equally often as possible. None makes one round
+    per target, in which all labels go to it.
     """
     if per_label is None:
         return np.repeat(np.arange(n_targets)[:, None], n_labels, axis=1)

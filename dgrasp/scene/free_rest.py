@@ -1,4 +1,4 @@
-"""How the free objects rest on the table."""
+"""Poses in which the free objects rest on the table."""
 
 from __future__ import annotations
 
@@ -33,7 +33,8 @@ _REST: dict[str, tuple[Angles, ...]] = {
     "040_large_marker": (_ON_Y,),
     "061_foam_brick": (_AS_MODELLED, _ON_Y, _ON_X),
 }
-"""Orientations at rest as Euler angles, the frequent ones named twice. Objects not named here rest as in O."""
+"""Orientations at rest as intrinsic XYZ Euler angles, rad; frequent ones are listed twice. Other objects rest as
+modelled, without a turn."""
 
 
 def place_at_rest(model: ObjectModel, rng: np.random.Generator, n: int) -> Array:
@@ -47,7 +48,7 @@ def place_at_rest(model: ObjectModel, rng: np.random.Generator, n: int) -> Array
 
 
 def lowest(shapes: Sequence[Shape], R_WO: Array) -> float:
-    """m: height of the lowest point of primitives above their frame's origin (negative), turned by R_WO."""
+    """m: height of the lowest point of primitives turned by R_WO, above their frame's origin (negative if below)."""
     turned = []
     for shape in shapes:
         q = quaternion_from_matrix(R_WO @ matrix_from_quaternion(np.array(shape.quaternion)))

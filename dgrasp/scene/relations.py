@@ -1,4 +1,4 @@
-"""What follows from a state and a goal, for features, rewards and controllers alike (supplement, A.1 and A.2)."""
+"""Quantities that follow from a state and a goal, for features, rewards and controllers (supplement, A.1 and A.2)."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from raisim_like.rotations import euler_from_matrix, matrix_from_euler, rotate, 
 
 @dataclass
 class Relations:
-    """What features and rewards share about N states, computed once per control step.
+    """Quantities of N states that features and rewards share, computed once per control step.
 
-    joint_position_error_H: (N, K, 3), goal minus current key points, in the wrist frame (g_x).
-    pose_error: (N, 3 + J), the wrist's rotation error in the object frame, then finger angles; goal minus current
+    joint_position_error_H: (N, K, 3) m, goal minus current key points, in the wrist frame (g_x).
+    pose_error: (N, 3 + J) rad, the wrist's rotation error in the object frame, then finger angles; goal minus current
         (g_q).
     """
 
@@ -46,7 +46,7 @@ def relations(state: SceneState, goal: GraspGoal, wrist_error: WristError = "eul
 
 
 def target_turn_W(state: SceneState) -> Array:
-    """(N, 3) rad: the rotation vector that turns the object's target to where the object is (g_o,q)."""
+    """(N, 3) rad: the rotation vector from the target's orientation to the object's (g_o,q)."""
     return rotation_vector(np.matmul(state.R_WO, np.swapaxes(state.R_WG, 1, 2)))
 
 
@@ -56,12 +56,12 @@ def wrist_angvel_W(state: SceneState) -> Array:
     zero = np.zeros(len(angles))
     R_X = matrix_from_euler(np.stack([angles[:, 0], zero, zero], axis=1))
     R_XY = matrix_from_euler(np.stack([angles[:, 0], angles[:, 1], zero], axis=1))
-    # Each joint turns about its own axis, as the joints before it have turned that.
+    # Each joint turns about its own axis, which the joints before it have turned.
     omega_H0 = R_X[:, :, 1] * rates[:, 1:2] + R_XY[:, :, 2] * rates[:, 2:3]
     omega_H0[:, 0] += rates[:, 0]
     return rotate(state.R_WH0, omega_H0)
 
 
 def goal_wrist_position_W(state: SceneState, goal: GraspGoal) -> Array:
-    """(N, 3): where the label's wrist would be, given where the object is now."""
+    """(N, 3) m: the position of the label's wrist relative to the object, at the object's current pose."""
     return state.object_pos_W + rotate(state.R_WO, goal.joints_O[:, 0])

@@ -1,4 +1,4 @@
-"""Hand, object and table in one world: what it is made of, where the table stands, and how the hand is driven."""
+"""Hand, object and table in one world: its bodies, the table's place, and the hand's gains and feed-forward."""
 
 from __future__ import annotations
 
@@ -15,19 +15,19 @@ from raisim_like.shapes import Shape
 from raisim_like.world import BODY, STATIC, SYSTEM, collision_mask
 
 TABLE_TOP = 0.5
-"""m. The top of the table that the labels know."""
+"""m. Height of the table's top in the labels."""
 LOWERED_TOP = 0.25
-"""m. Where the top is after the table has been taken away."""
+"""m. Height of the table's top after the table has been taken away."""
 TABLE_SIZE = (2.0, 1.0, 0.5)
 TABLE_XY = (1.25, 0.0)
 CARRY_ACCELERATION = 10.0
-"""m/s^2 that the feed-forward counts for gravity (docs/deviations.md)."""
+"""m/s^2. Gravity in the feed-forward for the object's weight (docs/deviations.md)."""
 OBJECT, TABLE = 0, 1
-"""Numbers of the bodies of a scene."""
+"""Indices of a scene's bodies."""
 
 
 def scene_spec(hand: HandModel, model: ObjectModel, physics: PhysicsConfig) -> WorldSpec:
-    """A world with the hand as its one system, the object and the table."""
+    """A world with the hand as its only system, the object and the table."""
     hits = BODY | (STATIC if physics.hand_table_collision else 0)
     system = SystemSpec(
         hand.urdf, "hand", collision_mask(SYSTEM, hits | (SYSTEM if physics.self_collision else 0)),
@@ -59,14 +59,14 @@ def position_and_quaternion(T: Array) -> Array:
 
 
 def table_state(height: float) -> Array:
-    """(13,) state of the table whose top is at a height, m, world."""
+    """(13,) state of the table with its top at `height`, m, world."""
     state = np.zeros(13)
     state[:4] = *TABLE_XY, height - TABLE_SIZE[2] / 2, 1.0
     return state
 
 
 def wrist_gains(hand: HandModel, action: ActionConfig, kp_position: float) -> tuple[Array, Array]:
-    """PD gains kp and kd (dof,): the wrist's position is `kp_position` stiff, all rotations as `action` says."""
+    """PD gains kp and kd (dof,): stiffness `kp_position` (N/m) for the wrist's position, all else from `action`."""
     kp = np.full(hand.urdf.dof, action.kp_rotation)
     kd = np.full(hand.urdf.dof, action.kd_rotation)
     kp[:3], kd[:3] = kp_position, action.kd_position
@@ -77,8 +77,9 @@ def carrying_force(hand: HandModel, gravity: Array, R_WH0: Array, carried_mass: 
     """(dof,) feed-forward that lifts the wrist: the hand's own weight, and `carried_mass` (kg) times 10 m/s^2.
 
     The hand hangs on a fixed base at the initial wrist frame H0 (R_WH0), so its first three coordinates are along the
-    axes of H0. It is carried as if by an arm: at 50 N/m it would hang 7 cm below its goal. The authors' hand weighs
-    little there, as its URDF is made, and is left to the policy. gravity: (3,) m/s^2, world.
+    axes of H0. The feed-forward carries the hand as an arm would: without it, at 50 N/m, the hand would hang 7 cm below
+    its goal. In the authors' URDF the hand weighs little at these joints, so its weight is left to the policy.
+    gravity: (3,) m/s^2, world.
     """
     lift = -gravity * hand.carried_mass
     lift[2] += CARRY_ACCELERATION * carried_mass

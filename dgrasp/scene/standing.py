@@ -1,4 +1,4 @@
-"""Labels that know no table, put onto it: GraspTTA and ContactOpt give a hand and an object somewhere in space."""
+"""Place labels without a table onto the table: GraspTTA and ContactOpt give hand and object somewhere in space."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from dgrasp.scene.scene import TABLE_TOP
 from dgrasp.types import Array, GraspLabel, StartPose
 
 PLACE_XY = (0.6, 0.0)
-"""m. Where on the table the object's origin comes to stand."""
+"""m. Where on the table the object's origin is placed."""
 
 
 def standing(labels: Sequence[GraspLabel], objects: Mapping[str, ObjectModel]) -> list[GraspLabel]:
-    """The labels, those without a table shifted so that their object's lowest point touches its top.
+    """The labels; those without a table are shifted so that their object's lowest point touches the table's top.
 
     Hand, object and start move together and nothing turns (supplement, B.5: "we place the object on a surface").
     """

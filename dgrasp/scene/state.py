@@ -40,7 +40,7 @@ def state_shapes(hand: HandLayout) -> dict[str, tuple[int, ...]]:
 
 
 def state_size(hand: HandLayout) -> int:
-    """float64 numbers per environment."""
+    """Number of float64 values per environment."""
     return sum(int(np.prod(shape)) for shape in state_shapes(hand).values())
 
 
@@ -57,11 +57,11 @@ def state_views(n: int, hand: HandLayout, buffer: Array | None = None) -> SceneS
 
 
 def take(arrays: Rows, rows: Array) -> Rows:
-    """The same of some environments alone: copies."""
+    """Copies of the arrays for these environments alone."""
     return type(arrays)(**{name: values[rows] for name, values in vars(arrays).items()})
 
 
 def copy_state(source: SceneState, target: SceneState, rows: slice) -> None:
-    """Writes a state of some environments into their rows of a larger one."""
+    """Write the state of some environments into their rows of a larger state."""
     for name, values in vars(source).items():
         getattr(target, name)[rows] = values

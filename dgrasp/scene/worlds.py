@@ -1,4 +1,4 @@
-"""The N simulated worlds of an environment: made, placed, stepped together, and read into a `SceneState`."""
+"""The N simulated worlds of an environment: make, place and step them, and read them into a `SceneState`."""
 
 from __future__ import annotations
 
@@ -27,13 +27,13 @@ from raisim_like.registry import make_batch
 from raisim_like.rotations import matrix_from_quaternion
 
 MAX_SPEED, MAX_SPIN = 50.0, 1000.0
-"""m/s and rad/s of the object, beyond which the simulation has exploded."""
+"""m/s and rad/s. If the object is faster, the simulation has exploded."""
 MAX_FALL = 1000.0
-"""m/s below the floor (z = 0), where what has missed the table falls on and on."""
+"""m/s. The limit below the floor (z = 0), where an object that has missed the table keeps falling."""
 
 
 class Worlds:
-    """One world per label. What they report is written into `state`, whose arrays stay the caller's."""
+    """One world per label. The worlds write their readings into `state`, whose arrays the caller owns."""
 
     def __init__(
         self, labels: Sequence[GraspLabel], hand: HandModel, objects: Mapping[str, ObjectModel], config: Config,
@@ -56,7 +56,7 @@ class Worlds:
         return scene_spec(self.hand, model, physics)
 
     def rebuild(self, i: int) -> None:
-        """Make a world that exploded anew; it is to be placed next."""
+        """Make a new world in place of one that exploded. Call `place` for it next."""
         self.batch.rebuild([i])
 
     def close(self) -> None:
@@ -69,7 +69,7 @@ class Worlds:
         return self.batch.seconds
 
     def place(self, i: int, start: StartPose, table_top: float, kp_position: float, carries: bool) -> None:
-        """Begin anew in one world, everything at rest; gains as for `set_gains`."""
+        """Start one world anew with everything at rest. kp_position, carries: see `set_gains`."""
         gc = np.zeros((1, self.hand.urdf.dof))
         gc[0, -len(start.hand_pose) :] = start.hand_pose
         bodies = np.stack([resting_state(start.T_WO), table_state(table_top)])
@@ -81,7 +81,7 @@ class Worlds:
         self._link_impulse[i], s.contact_impulse[i], s.table_contact[i] = 0.0, 0.0, 0.0
 
     def set_gains(self, i: int, kp_position: float, carries: bool = True) -> None:
-        """How stiff a wrist is, and whether it is to carry the object's weight."""
+        """Set the stiffness (N/m) of a wrist's position, and whether a feed-forward carries the object's weight."""
         spec = self.specs[i]
         kp, kd = wrist_gains(self.hand, self.config.env.action, kp_position)
         carried_mass = spec.bodies[OBJECT].mass if carries else 0.0
@@ -89,14 +89,14 @@ class Worlds:
         self.batch.set_gains([i], kp[None], kd[None], force[None])
 
     def release(self, i: int, kp_position: float) -> None:
-        """Take the table of one world away, and set how stiff its wrist is from now on."""
+        """Take the table of one world away, and set the stiffness (N/m) of its wrist from now on."""
         self.batch.move([i], TABLE, table_state(LOWERED_TOP)[None])
         self.set_gains(i, kp_position)
 
     def advance(self, rows: Sequence[int], target: Array, watch_table: bool) -> None:
         """Simulate one control step of some worlds towards PD targets (N, dof).
 
-        watch_table: whether to find out too which objects touch their table.
+        watch_table: also update which objects touch their table.
         """
         self.batch.advance(rows, target, self.config.physics.substeps)
         self.batch.link_impulses(rows, OBJECT, self._link_impulse)
@@ -106,7 +106,7 @@ class Worlds:
             self.batch.touching(rows, OBJECT, TABLE, self.s.table_contact)
 
     def derive(self, rows: slice | Array) -> None:
-        """Everything in the state that follows from what was read."""
+        """Compute everything in the state that follows from the engine's readings."""
         s, body = self.s, self._object_state[rows]
         s.object_pos_W[rows] = body[:, :3]
         s.R_WO[rows] = matrix_from_quaternion(body[:, 3:7])

@@ -1,7 +1,7 @@
-"""The energy of a static grasp and its descent, for a batch of hands at once.
+"""The energy of static grasps and its minimisation, for a batch of hands at once.
 
-Contact, force closure, penetration, self-penetration, table, joint limits and a prior of natural hands. Force closure
-is the residual wrench of forces along the contacts' normals, whose shares are optimised with the hand.
+Terms: contact, force closure, penetration, self-penetration, table, joint limits and a prior of natural hands. Force
+closure is the residual wrench of forces along the contacts' normals, whose shares are optimised with the hand.
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ from dgrasp.synthesis.torch_hand import ObjectField, TorchHand, tensor
 from dgrasp.types import Array
 
 PRESS = 0.0015
-"""m that a pad is wanted to be in the object, as soft flesh is."""
+"""m. Depth in the object that a pad should reach, as soft flesh does."""
 TOLERATED = 0.003
-"""m of penetration that costs nothing."""
+"""m. Penetration up to this depth costs nothing."""
 TABLE_CLEARANCE = 0.003
-"""m between hand and table."""
+"""m. Wanted distance between hand and table."""
 _SELF_TOLERATED = 0.002
 _ARM = 0.04
 """m, the lever that makes torques comparable with forces."""
@@ -30,21 +30,21 @@ ITERATIONS = 140
 """Steps of the descent; half as many follow once joints have yielded."""
 _RATES = {"t": 0.0020, "w": 0.025, "motions": 0.025, "shares": 0.1}
 _STEEPEST, _STEEPEST_M = 10.0, 3000.0
-"""Longest gradients, per rad and per m."""
+"""Largest norms of gradients, per rad and per m."""
 WEIGHTS = {"contact": 1.0, "facing": 2.0, "closure": 15.0, "penetration": 0.6, "self": 0.5, "table": 0.6,
            "limits": 1.0, "prior": 0.06, "upright": 4.0}  # fmt: skip
 LOWEST_THUMB_SIDE, HIGHEST_POINTING = 0.0, 0.0
-"""Least z of the axis to the thumb's side, and greatest z of the axis from the wrist to the knuckles: nobody's arm
-turns the hand much further at a table. The paper's recorded labels have above -0.14 and below 0 in 95 of 100."""
+"""Smallest z of the axis to the thumb's side, and largest z of the axis from the wrist to the knuckles. At a table, an
+arm cannot turn the hand much further. In 95 of 100 recorded labels of the paper they are above -0.14 and below 0."""
 
 
 @dataclass(frozen=True, eq=False)
 class Grasps:
-    """B hands about one object, in its frame O; tensors.
+    """B hands around one object, in its frame O; tensors.
 
-    R (B, 3, 3), t (B, 3) m: wrists. motions (B, M) rad. wanted (B, P) bool: the parts that are to touch.
-    up (B, 3), over (B,): the table; a point x is up @ x + over m above it. yields (B, J) bool, angles (B, J) rad:
-    joints that the object's pressure has turned to an angle beyond their limits, and which the motions do not move.
+    R (B, 3, 3), t (B, 3) m: wrists. motions (B, M) rad. wanted (B, P) bool: the parts that should touch.
+    up (B, 3), over (B,): the table; a point x is up @ x + over m above it. yields (B, J) bool: joints that the object's
+    pressure has turned beyond their limits, and that the motions do not move. angles (B, J) rad: their angles.
     """
 
     R: Tensor
@@ -61,7 +61,7 @@ class Grasps:
         return torch.where(self.yields, self.angles, hand.clipped(hand.pose(self.motions)))
 
     def take(self, rows: Tensor) -> Grasps:
-        """These rows."""
+        """The grasps of these rows."""
         return Grasps(**{name: values[rows] for name, values in vars(self).items()})
 
     def __len__(self) -> int:
@@ -71,7 +71,10 @@ class Grasps:
 def energies(
     hand: TorchHand, field: ObjectField, grasps: Grasps, shares: Tensor, center: Tensor
 ) -> dict[str, Tensor]:
-    """The terms (B,), unweighted. shares (B, P): logits of the contacts' forces. center (3,): of mass, in O."""
+    """The unweighted terms of the energy, (B,) each.
+
+    shares (B, P): logits of the contacts' forces. center (3,): the centre of mass in O, m.
+    """
     pose = hand.pose(grasps.motions)
     posed = hand.forward(grasps.R, grasps.t, torch.where(grasps.yields, grasps.angles, pose))
     depth = hand.radii - field.distance(posed.centers)
@@ -79,7 +82,7 @@ def energies(
     wanted = grasps.wanted.float()
     count = wanted.sum(1)
     gap = (distance + PRESS) / 0.002
-    # The thumb is alone on its side.
+    # The thumb alone opposes the fingers, so it weighs as much as all of them.
     weight = wanted.clone()
     weight[:, hand.thumb_tip] *= count - 1.0
     contact = (weight * (torch.sqrt(1.0 + gap * gap) - 1.0)).sum(1) / count
@@ -105,7 +108,7 @@ def energies(
 def unnatural(hand: TorchHand, R: Tensor, up: Tensor) -> Tensor:
     """(B, 2): how far wrists R (B, 3, 3) are turned beyond `LOWEST_THUMB_SIDE` and `HIGHEST_POINTING`. up: (B, 3).
 
-    Zero for a hand that has no anatomy (`HandMotions.thumb_side`).
+    Zero for a hand without this anatomy (`HandMotions.thumb_side`).
     """
     thumb_side = hand.motions.thumb_side
     if not thumb_side:
@@ -115,7 +118,7 @@ def unnatural(hand: TorchHand, R: Tensor, up: Tensor) -> Tensor:
 
 
 def contact_points(hand: TorchHand, field: ObjectField, pads: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Of each part the pad point nearest to the object: (B, P, 3), its distance (B, P) and normal (B, P, 3)."""
+    """For each part, the pad point nearest to the object (B, P, 3), its distance (B, P) and normal (B, P, 3)."""
     with torch.no_grad():
         distance = field.distance(pads)
         nearest = torch.stack([mine[distance[:, mine].argmin(1)] if len(mine) else mine.new_zeros(len(pads))
@@ -127,7 +130,7 @@ def contact_points(hand: TorchHand, field: ObjectField, pads: Tensor) -> tuple[T
 def residual_wrench(
     point: Tensor, normal: Tensor, shares: Tensor, wanted: Tensor, center: Tensor
 ) -> tuple[Tensor, Tensor]:
-    """Force (B, 3) and torque over a lever (B, 3) that are left when the wanted parts press along their normals.
+    """Net force (B, 3), and net torque over a lever (B, 3), when the wanted parts press along their normals.
 
     point, normal: (B, P, 3). shares (B, P): logits; the forces add up to 1.
     """
@@ -138,7 +141,7 @@ def residual_wrench(
 
 
 def overlaps(hand: TorchHand, centers: Tensor) -> Tensor:
-    """(B, S, S) m by which spheres of different fingers overlap, of every other sphere; else negative."""
+    """(B, S', S') m by which every second sphere overlaps those of other fingers (`TorchHand.pairs`); else negative."""
     chosen, apart = hand.pairs
     x = centers[:, chosen]
     squared = (x * x).sum(-1)
@@ -150,7 +153,10 @@ def overlaps(hand: TorchHand, centers: Tensor) -> Tensor:
 def optimise(
     hand: TorchHand, field: ObjectField, grasps: Grasps, center: Array, iterations: int = ITERATIONS
 ) -> tuple[Grasps, dict[str, Tensor]]:
-    """The grasps after a descent of all energies together, joint angles clipped to the limits, and their terms."""
+    """Minimise all terms together by gradient descent, with joint angles clipped to the limits.
+
+    Returns the grasps found and their terms.
+    """
     middle = tensor(center)
     w = torch.zeros_like(grasps.t, requires_grad=True)
     t, motions = (value.clone().requires_grad_() for value in (grasps.t, grasps.motions))
@@ -169,7 +175,7 @@ def optimise(
         terms = energies(hand, field, current(), shares, middle)
         total = torch.stack([WEIGHTS[name] * value for name, value in terms.items()]).sum()
         total.backward()
-        # A sphere that starts deep inside must not throw its hand away.
+        # A sphere that starts deep inside the object must not throw the hand away.
         for leaf in leaves.values():
             if leaf.grad is not None:
                 norm = leaf.grad.norm(dim=1, keepdim=True).clamp_min(1e-9)
@@ -183,21 +189,21 @@ def optimise(
 
 
 YIELD_DEG = (1.5, 7.0)
-"""How far a joint that yields is beyond its limit."""
+"""Smallest and largest angle of a yielding joint beyond its limit."""
 _THUMB_YIELDS, _FINGERS_YIELD = 0.75, 0.6
-"""Shares of the grasps."""
+"""Shares of the grasps in which the thumb yields, and in which the fingers do."""
 _LEVER = 0.008
-"""m by which a joint that yields moves its pads away from the object, per rad."""
+"""m per rad. A joint yields only if it moves the touching pads away from the object by at least this."""
 _FARTHEST = math.radians(45.0)
-"""A joint this far within its limit does not reach it."""
+"""rad. A joint this far or farther from its limit does not yield."""
 
 
 def let_yield(hand: TorchHand, field: ObjectField, grasps: Grasps, rng: np.random.Generator) -> Grasps:
-    """The grasps, in most of them a joint of the thumb or of each touching finger turned beyond its limits by pressure.
+    """The grasps; in most of them, pressure turns a joint of the thumb or of each touching finger beyond its limits.
 
-    Of a finger's joint angles it is the one nearest to that limit towards which its pads leave the object. Soft hands
-    yield like that, and recorded grasps leave the limits too. A controller whose targets stop at the limits closes such
-    a joint, and so grasps; one whose target is where the hand is presses on nothing.
+    The joint is that of the finger which is nearest to the limit towards which the finger's pads leave the object. Soft
+    hands yield like this, and recorded grasps exceed the limits too. A controller whose targets stop at the limits
+    closes such a joint and so grasps; a controller whose targets are the current angles presses on nothing.
     """
     pose = grasps.pose(hand).requires_grad_()
     posed = hand.forward(grasps.R, grasps.t, pose)

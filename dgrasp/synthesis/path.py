@@ -1,4 +1,4 @@
-"""Where the approach to a synthesised grasp begins: the wrist drawn back, the fingers opened, nothing in the way."""
+"""Starts of the approach to synthesised grasps: the wrist drawn back, the fingers opened, nothing in the way."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from raisim_like.rotations import matrix_from_euler, transform
 DRAWN_BACK = (0.03, 0.08)
 """m between the wrist at the start and at the grasp, as in the recorded labels of the paper (0.03 to 0.06 there)."""
 START_CLEARANCE, PATH_CLEARANCE = 0.005, 0.0
-"""m between the hand and object or table at the start, and on the way."""
+"""m. Smallest distance from the hand to object and table, at the start and on the way."""
 OPENED_DEG = (15.0, 25.0, 35.0, 45.0)
-"""By how much all flexions may be undone at the start; the least that lets the hand pass is taken."""
+"""Angles by which all flexions may be opened at the start; the smallest that lets the hand pass is used."""
 _START_TURN, _DRAWS = 0.12, 8
 
 
@@ -27,14 +27,14 @@ _START_TURN, _DRAWS = 0.12, 8
 def free_starts(
     hand: TorchHand, setting: Setting, grasps: Grasps, rest: Array, T_WO: Array, rng: np.random.Generator
 ) -> tuple[list[StartPose], Array]:
-    """A start per grasp, and (N,) whether it and the straight way from it are free.
+    """A start for each grasp, and (N,) bool: whether it and the straight way from it to the grasp are free.
 
-    rest, T_WO (N, 4, 4): the object before and at the grasp. The way is that of a hand which neither turns nor closes,
-    as guidance of the wrist's position alone moves it: on another way fingers would hang on the object's edges.
+    rest, T_WO (N, 4, 4): the object's poses before and at the grasp. On the way the hand neither turns nor closes, as
+    if guidance of the wrist's position alone moved it. On another way, fingers would catch on the object's edges.
     """
     n = len(grasps)
     T_WH = T_WO @ transform(grasps.R.numpy().astype(float), grasps.t.numpy().astype(float))
-    # Away from what is held: from the middle of the fingers' tips to the wrist.
+    # Away from the held object: from the mean of the fingertips to the wrist.
     tips = hand.tips(hand.forward(grasps.R, grasps.t, grasps.pose(hand))).mean(1)
     away = np.matmul(T_WO[:, :3, :3], (grasps.t - tips).numpy()[..., None])[..., 0]
     away /= np.linalg.norm(away, axis=1, keepdims=True)
@@ -62,7 +62,7 @@ def free_starts(
 
 
 def clearance(hand: TorchHand, setting: Setting, T_WO: Array, T_WH: Array, pose: Tensor) -> Array:
-    """(N,) m between the hand, pose (N, J), and the object or the table, whichever is nearer; negative where they
+    """(N,) m between the hand in `pose` (N, J) and the object or the table, whichever is nearer; negative where they
     overlap."""
     T_OH = np.linalg.inv(T_WO) @ T_WH
     centers = hand.forward(tensor(T_OH[:, :3, :3]), tensor(T_OH[:, :3, 3]), pose).centers
@@ -73,6 +73,6 @@ def clearance(hand: TorchHand, setting: Setting, T_WO: Array, T_WH: Array, pose:
 
 
 def orthonormal(R: Array) -> Array:
-    """The nearest rotations to matrices (N, 3, 3), which float32 left a little off."""
+    """The rotations nearest to matrices (N, 3, 3) that rounding to float32 has made inexact."""
     u, _, v = np.linalg.svd(R)
     return np.asarray(u @ v)

@@ -1,4 +1,4 @@
-"""What synthesised labels are like: diversity, penetration, contacts, and how many hold under gt_pd."""
+"""Figures of synthesised labels: diversity, penetration, contacts, and how many hold under gt_pd."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from dgrasp.types import Array, GraspLabel
 
 
 def figures(made: Synthesised, hand: NamedHand, model: ObjectModel) -> dict[str, Any]:
-    """Of one object's labels, plain values.
+    """The figures of one object's labels, as plain values.
 
-    held; found_held: the share that held of all that were tried, before the choice. best_quarter_held: the share that
-    hold of the quarter with the best geometry, by `Synthesised.quality`. penetration_cm3: mean on the hand's best
-    surface and the object's mesh. touching, contacts: parts that touch, and goal contacts (within 0.015 m), means.
-    diversity_deg, diversity_mm: `joint_distances`.
+    held: how many labels hold. found_held: the share of all tried grasps that held, before the choice.
+    best_quarter_held: the share that hold of the quarter with the best geometry, by `Synthesised.quality`.
+    penetration_cm3: mean penetration of the hand's best surface and the object's mesh. touching, contacts: mean numbers
+    of parts that touch and of goal contacts (within 0.015 m). diversity_deg, diversity_mm: see `joint_distances`.
     """
     surface = hand_surface(hand.model, None, hand.meta)
     findings = measure_labels(made.labels, hand.model, surface, {model.name: object_body(model, Path()).body})
@@ -42,10 +42,10 @@ def figures(made: Synthesised, hand: NamedHand, model: ObjectModel) -> dict[str,
 
 
 def joint_distances(labels: list[GraspLabel]) -> tuple[float, float]:
-    """How far the grasps of one object are apart, means over all pairs; 0 for a single one.
+    """Distances between the grasps of one object, as means over all pairs; 0 for a single grasp.
 
-    First the root mean square over the finger angles, degrees; then the mean over the key points, in the object's
-    frame, mm.
+    The first is the root mean square over the finger angles, degrees. The second is the mean over the key points in the
+    object's frame, mm.
     """
     if len(labels) < 2:
         return 0.0, 0.0

@@ -1,4 +1,4 @@
-"""Where the descent begins: open hands before an object at rest, thumb and fingers on its opposite sides."""
+"""Hands from which the descent begins: open, in front of an object, with thumb and fingers on opposite sides of it."""
 
 from __future__ import annotations
 
@@ -21,24 +21,24 @@ from dgrasp.types import Array
 from raisim_like.rotations import matrix_from_rotation_vector, transform
 
 LIFT = 0.005
-"""m. At the grasp the object is up to this high above its place at rest, as where a hand has just moved it."""
+"""m. Largest height of the object above its place at rest at the grasp, as if a hand had just moved it."""
 _WIDEST = 0.10
 _STEP = 0.002
 _TILT = 0.2
-"""Standard deviation, rad, of the hand's opposing sides about the object's."""
+"""rad. Standard deviation of the direction between the hand's opposing sides about that between the object's."""
 _CANDIDATES = 24
-"""Random hands of which the best one begins."""
+"""Random hands per object pose; the descent begins with the best one."""
 _FEWEST, _MOST = 2, 4
-"""Fingers beside the thumb that are to touch, where the hand has as many."""
+"""Smallest and largest number of fingers besides the thumb that should touch, if the hand has as many."""
 _TIPS_OPPOSING = 3
-"""Fingers whose tips, on average, lie opposite to the thumb's."""
+"""Number of fingers whose mean tip lies opposite to the thumb's."""
 _POWER_SHARE, _PALM_SHARE = 0.5, 0.4
-"""How often the fingers' middle parts are to touch too, and how often the palm with them."""
+"""Share of hands whose fingers should touch with their middle parts too, and share of these whose palm should."""
 
 
 @dataclass(frozen=True, eq=False)
 class Setting:
-    """One object that grasps are made for. body: its collision shapes' surface in O."""
+    """An object for which grasps are made. body: the surface of its collision shapes in O. field: distance to it."""
 
     model: ObjectModel
     body: Body
@@ -67,7 +67,10 @@ def _is_primitive(model: ObjectModel) -> bool:
 
 
 def propose(hand: TorchHand, setting: Setting, T_WO: Array, rng: np.random.Generator) -> Grasps:
-    """One hand per object pose (B, 4, 4): of some random ones that which penetrates object and table least."""
+    """One hand per object pose (B, 4, 4): the best of several random ones.
+
+    The best penetrates object and table least and turns its wrist least beyond the natural range.
+    """
     n = len(T_WO) * _CANDIDATES
     R_WO = np.repeat(T_WO[:, :3, :3], _CANDIDATES, axis=0)
     middle, across = _opposite_sides(setting, rng, n)
@@ -107,7 +110,10 @@ def propose(hand: TorchHand, setting: Setting, T_WO: Array, rng: np.random.Gener
 
 
 def _wanted(hand: TorchHand, rng: np.random.Generator, n: int) -> Array:
-    """(n, P) bool: the thumb's tip and those of two to four fingers, often more of them, sometimes the palm."""
+    """(n, P) bool, the parts that should touch.
+
+    They are the last parts of the thumb and of two to four fingers, often more of each finger, sometimes the palm.
+    """
     wanted = np.zeros((n, hand.layout.n_parts), bool)
     wanted[:, hand.thumb_tip] = True
     most = min(_MOST, len(hand.others))
@@ -124,7 +130,7 @@ def _wanted(hand: TorchHand, rng: np.random.Generator, n: int) -> Array:
 
 
 def _opened(hand: TorchHand, rng: np.random.Generator, n: int) -> Array:
-    """(n, M) motions drawn from the prior and opened."""
+    """(n, M) rad: motions drawn from the prior, with all flexions opened by a random angle."""
     prior = hand.motions
     motions = prior.mean + 0.7 * rng.normal(size=(n, len(prior.mean))) @ prior.factor.T
     motions[:, prior.flexions] -= np.radians(rng.uniform(0.0, 25.0, (n, 1)))
@@ -132,13 +138,16 @@ def _opened(hand: TorchHand, rng: np.random.Generator, n: int) -> Array:
 
 
 def _pad_center(hand: TorchHand) -> Array:
-    """(3,) m: a point before the palm, in the wrist frame."""
+    """(3,) m: a point in front of the palm, in the wrist frame."""
     return np.asarray(0.8 * hand.knuckles + 0.04 * hand.motions.palmar[0])
 
 
 def _opposite_sides(setting: Setting, rng: np.random.Generator, n: int) -> tuple[Array, Array]:
-    """Middles (n, 3) and directions (n, 3) of chords through the object from random points of its surface, along the
-    normal there, as long as a hand is wide at most."""
+    """Middles (n, 3) and directions (n, 3) of chords through the object.
+
+    A chord starts at a random point of the surface and runs along the normal there. It is at most as long as a hand can
+    span. Raises `ConfigError` if the object has no such chord.
+    """
     vertices, faces = setting.body.surface()
     a, b, c = vertices[faces].transpose(1, 0, 2)
     normals = np.cross(b - a, c - a)
@@ -161,19 +170,19 @@ def _opposite_sides(setting: Setting, rng: np.random.Generator, n: int) -> tuple
 
 
 def _approaches(R_WO: Array, across: Array, rng: np.random.Generator) -> Array:
-    """(n, 3) unit vectors in O along which the hand comes: level or from above, and square to `across` (n, 3)."""
+    """(n, 3) unit vectors in O along which hands approach: level or from above, perpendicular to `across` (n, 3)."""
     n = len(across)
     across_W = np.matmul(R_WO, across[..., None])[..., 0]
     azimuth, down = rng.uniform(-np.pi, np.pi, n), np.arcsin(rng.uniform(-0.1, 1.0, n))
     towards = np.stack([np.cos(down) * np.cos(azimuth), np.cos(down) * np.sin(azimuth), -np.sin(down)], axis=1)
     towards = towards - _along(towards, across_W)
-    # What is left of it may point up.
+    # The remaining direction may point up.
     towards[towards[:, 2] > 0.1] *= -1.0
     return _unit(np.matmul(np.swapaxes(R_WO, 1, 2), towards[..., None])[..., 0])
 
 
 def _frame(first: Array, second: Array) -> Array:
-    """(n, 3, 3) rotations whose first columns are `first`, their second ones in its plane with `second`."""
+    """(n, 3, 3) rotations whose first columns are `first` and whose second ones lie in its plane with `second`."""
     x = _unit(first)
     y = _unit(second - _along(second, x))
     return np.stack([x, y, np.cross(x, y)], axis=2)

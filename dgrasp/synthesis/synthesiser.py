@@ -1,6 +1,7 @@
-"""Static grasps for any hand and object, synthesised: proposed, descended, sifted, given a start, and tried in physics.
+"""Synthesis of static grasps for any hand and object.
 
-All are drawn from the generator that is passed in: the same seed gives the same labels on one machine.
+Grasps are proposed, optimised, sifted, given a start, and tried in physics. All random numbers come from the generator
+that is passed in: on one machine, the same seed gives the same labels.
 """
 
 from __future__ import annotations
@@ -41,11 +42,11 @@ from raisim_like.rotations import transform
 
 SOURCE = "synthesised"
 MAX_DEPTH = 0.006
-"""m. No sphere of the hand is deeper in the object."""
+"""m. Every sphere of the hand is less deep in the object."""
 MAX_SELF_OVERLAP = 0.005
-"""m between two fingers."""
+"""m. Two fingers overlap by less than this."""
 MAX_TURNED = 0.15
-"""Beyond the wrist's natural range (`synth_energy.unnatural`)."""
+"""A wrist is turned beyond its natural range by less than this (`energy.unnatural`)."""
 TOUCHING = 0.001
 """m. A pad this close to the object touches it."""
 IN_CONTACT = 0.003
@@ -54,19 +55,21 @@ RESERVE = 0.75
 """Share of the simulated friction with which the contacts must be able to hold the object's weight."""
 FRICTION = PhysicsConfig().friction
 HOLDING_SHARE = 0.3
-"""Share of an object's labels that hold by themselves under gt_pd, where that many are found; 0.3 as in DexYCB."""
+"""Share of an object's labels that hold by themselves under gt_pd, if that many are found; 0.3 as in DexYCB."""
 BATCH, _ROUNDS = 96, 6
-"""Hands of a round, and rounds that look for more grasps than were asked for; further ones look for as many."""
+"""Hands per round, and rounds that look for more grasps than were asked for; later ones stop at the number asked."""
 _CHECKED_PER_LABEL = 3.0
 _BARREN, _BARREN_ROUNDS = 0.02, 3
-"""After so many rounds in a row that find less than this share of their hands, no more are made."""
+"""The search stops after this many barren rounds in a row: rounds in which less than this share of hands is sound."""
 
 
 @dataclass(frozen=True, eq=False)
 class Synthesised:
-    """Labels of one object and what is known of them, each (N,): held: under gt_pd. quality: by geometry alone, higher
-    is better. depth: m, the deepest sphere. touching: parts whose pad touches. found_held: the share that held of all
-    that were tried."""
+    """Labels of one object, and their figures (N,).
+
+    held: whether the label holds under gt_pd. quality: by geometry alone, higher is better. depth: m, of the deepest
+    sphere. touching: number of parts whose pad touches. found_held: the share of all tried grasps that held.
+    """
 
     labels: list[GraspLabel]
     held: Array
@@ -78,7 +81,7 @@ class Synthesised:
 
 @dataclass(frozen=True, eq=False)
 class _Found:
-    """Sound grasps: in O, the object's poses at rest and at the grasp, and figures."""
+    """Sound grasps in O, with the object's poses at rest and at the grasp (`rest`, `T_WO`) and the grasps' figures."""
 
     grasps: Grasps
     rest: Array
@@ -98,7 +101,7 @@ class _Found:
 
 
 class Synthesiser:
-    """Makes grasps of one hand."""
+    """Synthesises grasps of one hand."""
 
     def __init__(self, hand: HandModel) -> None:
         self.hand = hand
@@ -108,16 +111,17 @@ class Synthesiser:
         self, model: ObjectModel, count: int, rng: np.random.Generator, config: Config, batch: int = BATCH,
         iterations: int = ITERATIONS,
     ) -> Synthesised:
-        """`count` diverse labels of an object; some hold under gt_pd in `config.engine`, others are left to be learned.
+        """Make `count` diverse labels of an object.
 
-        Raises `ConfigError` where too few sound grasps are found.
+        Some hold under gt_pd in `config.engine`; the others are left for a policy to learn. Raises `ConfigError` if too
+        few sound grasps are found.
         """
         wanted = round(_CHECKED_PER_LABEL * count)
         parts, starts = self._search(make_setting(model), count, wanted, rng, batch, iterations)
         order = _farthest_first(self._features(parts), parts.quality, min(wanted, len(starts)))
         labels = self._labels(model.name, parts.take(order), [starts[i] for i in order])
         held = gt_pd_holds(labels, self.hand, model, config)
-        # Shuffled, for the first labels of an object are taken as its sample: by splits, limits and demos.
+        # Shuffled, because splits, limits and demos take the first labels of an object as a sample.
         chosen = rng.permutation(order_of_both(held, count))
         rows = order[chosen]
         return Synthesised([labels[i] for i in chosen], held[chosen], parts.quality[rows], parts.depth[rows],
@@ -126,7 +130,7 @@ class Synthesiser:
     def _search(
         self, setting: Setting, count: int, wanted: int, rng: np.random.Generator, batch: int, iterations: int
     ) -> tuple[_Found, list[StartPose]]:
-        """The sound grasps of as many rounds as it takes: `wanted` in the first few, or else at least `count`."""
+        """The sound grasps of as many rounds as needed: `wanted` in the first few rounds, or else at least `count`."""
         rounds: list[tuple[_Found, list[StartPose]]] = []
         found, barren = 0, 0
         while found < wanted and (len(rounds) < _ROUNDS or (found < count and barren < _BARREN_ROUNDS)):
@@ -159,7 +163,7 @@ class Synthesiser:
 
     @torch.no_grad()
     def _sound(self, setting: Setting, grasps: Grasps, rest: Array, T_WO: Array) -> _Found:
-        """The grasps that neither penetrate nor miss, with their figures."""
+        """The grasps that neither penetrate too much nor miss, and whose contacts can hold the object, with figures."""
         hand, field = self.torch_hand, setting.field
         posed = hand.forward(grasps.R, grasps.t, grasps.pose(hand))
         distance = field.distance(posed.centers) - hand.radii
@@ -177,7 +181,7 @@ class Synthesiser:
             & (turned < MAX_TURNED) & (overlaps(hand, posed.centers).amax((1, 2)) < MAX_SELF_OVERLAP)
         )  # fmt: skip
         quality = -(force.norm(dim=1) + 0.5 * torque.norm(dim=1)) + 0.05 * touching.sum(1)
-        # What yields is pulled back by a controller, and so grasps.
+        # A controller pulls a yielding joint back, and so grasps.
         own = torch.zeros(hand.layout.n_joints, dtype=torch.bool)
         own[list(thumb_finger.joints)] = True
         quality += 0.2 * grasps.yields[:, ~own].any(1) + 0.2 * grasps.yields[:, own].any(1)
@@ -189,10 +193,10 @@ class Synthesiser:
     def _holding(
         self, setting: Setting, grasps: Grasps, contacts: tuple[Tensor, Tensor, Tensor], rows: Array
     ) -> Array:
-        """(len(rows),) bool: whose contacts can hold the object's weight."""
+        """(len(rows),) bool: whether the contacts of these grasps can hold the object's weight."""
         point, gap, normal = (value.numpy().astype(float) for value in contacts)
         center, up = setting.model.center_of_mass_O, grasps.up.numpy().astype(float)
-        # In the middle of a thin wall no normal is known.
+        # In the middle of a thin wall the normal is unknown.
         near = (gap < IN_CONTACT) & (np.linalg.norm(normal, axis=2) > 0.5)
         return np.array(
             [holds_weight(point[i, near[i]], normal[i, near[i]], center, up[i], RESERVE * FRICTION) for i in rows], bool
@@ -200,14 +204,14 @@ class Synthesiser:
 
     @torch.no_grad()
     def _features(self, found: _Found) -> Array:
-        """(N, F) m: joints and tips in O, in which grasps are told apart."""
+        """(N, F) m: joints and tips in O, by which grasps are compared."""
         g, hand = found.grasps, self.torch_hand
         posed = hand.forward(g.R, g.t, g.pose(hand))
         return np.asarray(torch.cat([posed.t, hand.tips(posed)], 1).reshape(len(found), -1).numpy())
 
     def _labels(self, name: str, found: _Found, starts: list[StartPose]) -> list[GraspLabel]:
         g = found.grasps
-        # The limits are float64: what lies within them must not leave them by rounding.
+        # The limits are float64: rounding must not move angles out of them.
         pose = g.pose(self.torch_hand).numpy().astype(float)
         pose = np.where(g.yields.numpy(), pose, np.clip(pose, *self.hand.limits[N_WRIST:].T))
         T_WH = found.T_WO @ transform(orthonormal(g.R.numpy().astype(float)), g.t.numpy().astype(float))
@@ -220,14 +224,16 @@ class Synthesiser:
 
 
 def make_setting(model: ObjectModel) -> Setting:
-    """The object's collision shapes, united, and their distance field."""
+    """The setting of an object: the union of its collision shapes and the distance field of that."""
     united = body([shape_mesh(shape) for shape in model.shapes])
     return Setting(model, united, ObjectField(distance_grid(united)))
 
 
 def order_of_both(held: Array, count: int) -> Array:
-    """(count,) rows: up to `HOLDING_SHARE` of those that hold, the rest of the others, each kind in its order; more of
-    either where the other lacks them."""
+    """(count,) rows: a share of `HOLDING_SHARE` that hold and the rest that do not, each kind in its order.
+
+    If there are too few of one kind, there are more of the other.
+    """
     good, bad = np.flatnonzero(held), np.flatnonzero(~held)
     n_good = max(min(len(good), round(HOLDING_SHARE * count)), count - len(bad))
     return np.sort(np.concatenate([good[:n_good], bad[: count - n_good]]))
@@ -236,7 +242,7 @@ def order_of_both(held: Array, count: int) -> Array:
 def _best_wrench(
     point: Tensor, normal: Tensor, touching: Tensor, center: Tensor, thumb_tip: int
 ) -> tuple[Tensor, Tensor]:
-    """The residual wrench of the touching parts, thumb and fingers pressing alike."""
+    """The residual wrench of the touching parts if the thumb presses as hard as all others together."""
     shares = torch.zeros(touching.shape)
     shares[:, thumb_tip] = torch.log((touching.sum(1) - touching[:, thumb_tip].float()).clamp_min(1.0))
     safe = touching.clone()
@@ -245,7 +251,7 @@ def _best_wrench(
 
 
 def _farthest_first(features: Array, quality: Array, count: int) -> Array:
-    """(count,) rows, each as far as may be from those before it, the best first."""
+    """(count,) rows, the best first, each of the others as far as possible from those before it."""
     order = [int(quality.argmax())]
     apart = np.linalg.norm(features - features[order[0]], axis=1)
     while len(order) < count:

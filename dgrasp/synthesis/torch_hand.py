@@ -1,4 +1,4 @@
-"""A hand and an object for gradients: batched kinematics of the hand's spheres and the object's distance, in torch.
+"""A hand and an object with gradients: batched kinematics of the hand's spheres and distance to the object, in torch.
 
 Everything is in the object's frame O, float32 on the CPU.
 """
@@ -22,7 +22,7 @@ from dgrasp.types import Array
 
 
 def tensor(values: Array) -> Tensor:
-    """As float32."""
+    """A float32 tensor of these values."""
     return torch.as_tensor(np.ascontiguousarray(values), dtype=torch.float32)
 
 
@@ -32,17 +32,17 @@ class ObjectField:
     def __init__(self, grid: DistanceGrid) -> None:
         slopes: Array = np.stack([np.gradient(grid.values, grid.pitch, axis=axis) for axis in range(3)])
         slopes /= np.maximum(np.linalg.norm(slopes, axis=0), 1e-6)
-        # grid_sample has x last.
+        # grid_sample expects x as the last axis.
         layers = np.concatenate([grid.values[None], slopes]).transpose(0, 3, 2, 1)
         self._layers = tensor(layers)[None]
         self._low, self._size = tensor(grid.low), tensor(grid.high - grid.low)
 
     def distance(self, points: Tensor) -> Tensor:
-        """(...) m, negative inside, of points (..., 3) in O; beyond the grid the way to it is added."""
+        """(...) m, negative inside, of points (..., 3) in O; beyond the grid, the distance to the grid is added."""
         return self._look_up(points, slice(0, 1))[0]
 
     def with_normal(self, points: Tensor) -> tuple[Tensor, Tensor]:
-        """The same, and the unit normals (..., 3) of the surface, outwards."""
+        """The same distance, and the surface's outward unit normals (..., 3)."""
         found = self._look_up(points, slice(0, 4))
         normal = found[1:].movedim(0, -1)
         return found[0], normal / normal.norm(dim=-1, keepdim=True).clamp_min(1e-6)
@@ -59,7 +59,7 @@ class ObjectField:
 
 @dataclass(frozen=True, eq=False)
 class PosedHand:
-    """B hands in O. R (B, P, 3, 3), t (B, P, 3): parts. centers (B, S, 3): spheres."""
+    """B hands in O. R (B, P, 3, 3), t (B, P, 3) m: parts. centers (B, S, 3) m: spheres."""
 
     R: Tensor
     t: Tensor
@@ -98,8 +98,11 @@ class TorchHand:
         self.pointing = tensor(self.knuckles / max(float(np.linalg.norm(self.knuckles)), 1e-9))
 
     def _floors(self) -> tuple[list[tuple[list[int], list[int]]], list[int]]:
-        """Parts by their distance from the palm, with their parents' places in the floor below; and where each part is
-        in the floors laid end to end."""
+        """Parts grouped into floors by their number of joints from the palm.
+
+        Returns each floor's parts with the indices of their parents in the floor below, and the index of each part in
+        all floors, palm first, laid end to end.
+        """
         parents = self.model.chain.parents.tolist()
         floors, below = [], [0]
         while True:
@@ -112,9 +115,9 @@ class TorchHand:
         return floors, [laid.index(part) for part in range(len(parents))]
 
     def _pairs(self) -> tuple[Tensor, Tensor]:
-        """Every other sphere (S',), and (S', S') bool: those that should not overlap, each pair once.
+        """Indices (S',) of every second sphere, and (S', S') bool: the pairs that should not overlap, each once.
 
-        They are of two fingers, or of the palm and a finger beyond its base.
+        The spheres of a pair are on two fingers, or on the palm and on a finger beyond its base.
         """
         chosen = torch.cat([mine[::2] for mine in self.members])
         part = self.parts[chosen]
@@ -133,11 +136,11 @@ class TorchHand:
         return motions @ self.to_pose
 
     def clipped(self, pose: Tensor) -> Tensor:
-        """(B, J) within the joint limits."""
+        """(B, J) angles clipped to the joint limits."""
         return torch.minimum(torch.maximum(pose, self.limits[0]), self.limits[1])
 
     def forward(self, R: Tensor, t: Tensor, pose: Tensor) -> PosedHand:
-        """The hands of wrists R (B, 3, 3), t (B, 3) and joint angles (B, J)."""
+        """The hands with wrists R (B, 3, 3), t (B, 3) and joint angles (B, J)."""
         turn = self._part_turns(pose)
         at, now = t[:, None], R[:, None]
         places, turns = [at], [now]
@@ -152,7 +155,7 @@ class TorchHand:
         return PosedHand(turned, place, centers)
 
     def _part_turns(self, pose: Tensor) -> Tensor:
-        """(B, P - 1, 3, 3): the rotation of each part but the palm against its parent."""
+        """(B, P - 1, 3, 3): the rotation of each part except the palm relative to its parent."""
         chain = self.model.chain
         if chain.all_euler:
             return euler_rotations(pose.reshape(-1, self.layout.n_parts - 1, 3))
@@ -175,6 +178,6 @@ class TorchHand:
         return hand.t[:, owners] + (hand.R[:, owners] @ self._tips[..., None])[..., 0]
 
     def per_part(self, distances: Tensor) -> Tensor:
-        """(B, P): the smallest of values (B, S) of each part's spheres; infinite for a part without any."""
+        """(B, P): the smallest of the values (B, S) of each part's spheres; infinite for a part without spheres."""
         out = distances.new_full((len(distances), self.layout.n_parts), torch.inf)
         return out.scatter_reduce(1, self.parts.expand(len(distances), -1), distances, "amin")

@@ -1,4 +1,4 @@
-"""Grasps tried in physics: whether a hand that keeps the label's pose holds the object."""
+"""Try grasps in physics: whether a hand that keeps the label's pose holds the object."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from dgrasp.objects.model import ObjectModel
 from dgrasp.types import Array, GraspLabel
 
 AT_ONCE = 576
-"""Worlds in one process. PyBullet has no more than 1024."""
+"""Largest number of worlds in one process. PyBullet allows at most 1024."""
 
 
 def gt_pd_holds(labels: list[GraspLabel], hand: HandModel, model: ObjectModel, config: Config) -> Array:
-    """(N,) bool: success of the baseline gt_pd: the object stays in the hand for the test's window."""
+    """(N,) bool: whether the baseline gt_pd succeeds, that is, the object stays in the hand for the test's window."""
     parts = [labels[i : i + AT_ONCE] for i in range(0, len(labels), AT_ONCE)]
     return np.concatenate([_some_hold(part, hand, model, config) for part in parts])
 
@@ -33,9 +33,9 @@ def _some_hold(labels: list[GraspLabel], hand: HandModel, model: ObjectModel, co
 
 
 def outlasts_window(env: GraspEnv, actions: Callable[[], Array]) -> Array:
-    """(N,) bool: success of the test (`eval.metrics.success`) from where the environments are, their tables gone.
+    """(N,) bool: success of the test (`eval.metrics.success`), from the environments' current state without tables.
 
-    actions: (N, A) of each step. An environment that drops its object is not simulated further.
+    actions: returns the actions (N, A) of each step. An environment that drops its object is not simulated further.
     """
     held = np.ones(env.num_envs, bool)
     for _ in range(env.config.window_steps):

@@ -65,7 +65,7 @@ def test_parts_that_touch_their_siblings_and_leave_islands(model: ManoModel) -> 
 def test_a_surface_that_is_no_hand(model: ManoModel) -> None:
     vertices, joints = model.shaped(np.zeros(1))
     weights = model.part_weights()
-    with pytest.raises(DataError, match="look to both sides"):
+    with pytest.raises(DataError, match="wound both ways"):
         segment(vertices, np.concatenate([model.faces, model.faces[:1]]), weights, joints)
     without = weights.copy()
     without[:, 11] += without[:, 12]

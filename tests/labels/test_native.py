@@ -149,7 +149,7 @@ def test_provenance_must_be_json(tmp_path: Path, provenance: dict[str, Any]) -> 
         ({"meta": np.array(["{}"])}, "description"),
         ({"meta": np.array(3)}, "meta announces"),
         ({"joints_W": None}, "lacks joints_W.npy"),
-        ({"surprise": np.zeros(1)}, "has besides surprise.npy"),
+        ({"surprise": np.zeros(1)}, "also has surprise.npy"),
         ({"meta": None}, "lacks meta.npy"),
         ({"joints_W": np.zeros((3, 21, 3))}, "joints_W is float64 of shape (3, 21, 3); expected float64"),
         ({"joints_W": np.zeros((4, 21, 3), dtype=np.float32)}, "joints_W is float32"),

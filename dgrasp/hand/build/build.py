@@ -1,4 +1,4 @@
-"""From a hand model in MANO's layout to a folder that the physics loads: URDF, meshes, description."""
+"""Build a folder that the physics loads (URDF, meshes, description) from a hand model in MANO's layout."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ Shapes = Literal["primitives", "hulls"]
 
 @dataclass(frozen=True)
 class Provenance:
-    """Where a hand comes from, for its description. name: the id's first part. file, sha256: the model's.
+    """Where a hand comes from, for its description. name: the id's first part. file, sha256: of the model's file.
 
     limits: where the joint limits come from. licence: the terms of the model, which the built hand inherits.
     """
@@ -49,7 +49,7 @@ def build_hand(
     model: ManoModel, betas: Array, limits: Array | None, shapes: Shapes, provenance: Provenance, out: Path,
     mirror: bool = False,
 ) -> str:
-    """Write the hand of shape `betas` (S' <= S,) to the new folder `out`; returns the hand's id.
+    """Write the hand of shape `betas` (S' <= S,) to the new folder `out`. Returns the hand's id.
 
     limits (45, 2) rad: of the model's side; None for the anatomical table. shapes: one capsule per finger part and one
     box for the palm, or convex hulls. mirror: make the other hand. Raises `DataError` for a folder that is not empty,
@@ -96,7 +96,7 @@ def build_hand(
 
 
 def primitive_links(model: ManoModel, limits: Array) -> list[LinkPart]:
-    """The parts of the mean hand as primitives, without meshes to show. limits: (45, 2) rad."""
+    """The parts of the mean hand as primitives, without visual meshes. limits: (45, 2) rad."""
     vertices, joints = model.shaped(np.zeros(0))
     parts = segment(vertices, model.faces, model.part_weights(), joints)
     fits = [_primitive(part) for part in parts]
@@ -105,14 +105,14 @@ def primitive_links(model: ManoModel, limits: Array) -> list[LinkPart]:
 
 
 def _table(model: ManoModel, joints: Array, tips: Array) -> Array:
-    """(45, 2) rad: the anatomical table, which is a right hand's, for either hand."""
+    """(45, 2) rad: limits by the anatomical table, which is of a right hand, for a hand of either side."""
     if model.side == "right":
         return table_limits(joints, tips)
     return mirror_limits(table_limits(joints * MIRROR, tips * MIRROR))
 
 
 def write_obj(path: Path, mesh: PartMesh) -> None:
-    """A mesh as a Wavefront file, m with six decimals."""
+    """Write a mesh as a Wavefront file, in m with six decimals."""
     lines = [f"v {x + 0.0:.6f} {y + 0.0:.6f} {z + 0.0:.6f}" for x, y, z in np.round(mesh.vertices, 6).tolist()]
     lines += [f"f {a} {b} {c}" for a, b, c in (mesh.faces + 1).tolist()]
     path.write_text("\n".join(lines) + "\n", encoding="utf-8", newline="\n")

@@ -35,7 +35,7 @@ def table_limits(joints: Array, tips: Array) -> Array:
 
 
 def label_limits(labels: Sequence[GraspLabel]) -> Array:
-    """(45, 2) rad: the range of all grasps and starts of the labels, and `LABEL_SLACK` on both sides."""
+    """(45, 2) rad: the range of all grasps and starts of the labels, widened by `LABEL_SLACK` on both sides."""
     poses = [label.hand_pose for label in labels]
     poses += [label.start.hand_pose for label in labels if label.start is not None]
     if not poses:
@@ -45,6 +45,6 @@ def label_limits(labels: Sequence[GraspLabel]) -> Array:
 
 
 def mirror_limits(limits: Array) -> Array:
-    """(45, 2) of the other hand."""
+    """(45, 2) rad: the limits of the mirrored hand."""
     signs = np.tile(MIRROR_ANGLES, N_FINGER_DOF // 3)[:, None]
     return np.sort(limits * signs, axis=1)

@@ -76,7 +76,8 @@ def _table(title: str, first: str, columns: list[str]) -> Table:
 
 
 def _parts_table(hands: list[NamedHand], names: list[str]) -> Table:
-    """Volumes of the collision shapes and masses; of built hands also the meshes' and how much both overlap."""
+    """Volumes of the collision shapes, and masses; for built hands also volumes of the meshes, and the overlap of both.
+    """
     keys = [["volume_cm3", "mass_g", *(["mesh_cm3", "overlap"] if hand.meta else [])] for hand in hands]
     heads = {"volume_cm3": "shapes cm3", "mass_g": "g", "mesh_cm3": "mesh cm3", "overlap": "overlap"}
     columns = [name + heads[key] for name, own in zip(names, keys, strict=True) for key in own]

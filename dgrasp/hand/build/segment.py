@@ -1,9 +1,9 @@
-"""The skin of a hand cut into one closed mesh per rigid part, by the largest skinning weight.
+"""Cut the skin of a hand into one closed mesh per rigid part, by the largest skinning weight.
 
 A face belongs to the part with the largest weight summed over its corners. Going from the fingertips to the palm,
 each part is closed by a fan over every loop that is left open, and its parent gets the same fan from the other
-side. So the parts share their cuts, overlap nowhere but where a fan bulges, and their volumes add up to the hand's to
-rounding, wherever parts meet.
+side. So the parts share their cuts and overlap only where a fan bulges. Wherever parts meet, their volumes add up to
+the hand's, to rounding.
 """
 
 from __future__ import annotations
@@ -21,13 +21,13 @@ def segment(vertices: Array, faces: Array, weights: Array, joints: Array) -> lis
 
     vertices (V, 3) m and joints (16, 3) m at the zero pose, in one frame; faces (F, 3), wound outwards, open at the
     wrist or closed; weights (V, 16), order of the parts. A part's frame has its joint as origin and parallel axes.
-    Raises `DataError` where the surface is no hand's: an edge of more than two faces, inconsistent winding, a part
+    Raises `DataError` if the surface is not a hand's: an edge of more than two faces, inconsistent winding, a part
     without faces.
     """
     owner = weights[faces].sum(axis=1).argmax(axis=1)
     edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
     if len(np.unique(edges, axis=0)) < len(edges):
-        raise DataError("the hand's surface has an edge of more than two faces, or faces that look to both sides; "
+        raise DataError("the hand's surface has an edge of more than two faces, or faces wound both ways; "
                         "expected one skin, wound outwards")
     points = [np.asarray(vertices, dtype=float)]
     surfaces = [[faces[owner == part]] for part in range(N_PARTS)]
@@ -88,7 +88,7 @@ def _loops(faces: Array) -> list[list[int]]:
             while True:
                 after = following[path[-1]].pop()
                 if after in path:
-                    # The path came back to itself: that much is a loop of its own.
+                    # The path has come back to itself: the part since then is a loop of its own.
                     at = path.index(after)
                     loops.append(path[at:])
                     del path[at + 1 :]

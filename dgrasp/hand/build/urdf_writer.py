@@ -1,4 +1,4 @@
-"""A hand's rigid parts as a RaiSim-style URDF with the 51 joints that the environment knows.
+"""Write a hand's rigid parts as a RaiSim-style URDF with MANO's 51 joints.
 
 From the fixed link `world` three prismatic and three revolute joints lead to the link `palm`; then, finger by
 finger, three revolute joints x, y, z per part. A part's link hangs on its z joint and carries the part's collision
@@ -21,23 +21,24 @@ from raisim_like.rotations import matrix_from_quaternion
 from raisim_like.shapes import Shape
 
 DAMPING = {"prismatic": "10", "revolute": "1"}
-"""Viscous joint damping, N s/m and N m s/rad: part of the controlled dynamics of the paper's hand, and of ours."""
+"""Viscous joint damping, N s/m and N m s/rad. It is part of the controlled dynamics of the paper's hand and of ours."""
 EFFORT = {"prismatic": "100", "revolute": "1000"}
 """N and N m."""
 WRIST_REACH = 2.0
-"""Limit of the wrist's translations from where its base is placed, m."""
+"""m. Limit of the wrist's translations from the place of its base."""
 SMALL_MASS, SMALL_INERTIA = 1e-5, 1e-8
-"""kg, kg m^2. What the links between a part's joints get where a tool refuses links without mass, as MuJoCo does."""
+"""kg, kg m^2. For the links between a part's joints, if the file is for tools, such as MuJoCo, that refuse links
+without mass."""
 
 _AXES = {"x": "1 0 0", "y": "0 1 0", "z": "0 0 1"}
 
 
 @dataclass(frozen=True)
 class LinkPart:
-    """One rigid part for the file, in its frame: its joint as origin, axes parallel to the wrist's at the zero pose.
+    """One rigid part for the file. Its frame has its joint as origin and axes parallel to the wrist's at the zero pose.
 
     offset (3,) m: the frame's origin in the parent part's frame. limits (3, 2) rad: rotations about x, y, z.
-    shapes: collision shapes; a hull is written by its file's name, which must lie beside the URDF. mass kg,
+    shapes: collision shapes; a hull is written as the name of its file, which must lie beside the URDF. mass kg,
     center (3,) m, inertia (3, 3) kg m^2 about the centre. visual: a mesh beside the URDF, or "" to show the shapes.
     """
 
@@ -54,7 +55,7 @@ def hand_urdf(name: str, comment: str, parts: Sequence[LinkPart], tips: Array, m
     """The text of the URDF of 16 parts, order of `skeleton.PARTS`.
 
     tips (5, 3) m: fingertips in the distal parts' frames, order of `skeleton.FINGERS`. massless: whether the links
-    between joints have no mass, as RaiSim allows, or a very small one, as other tools want.
+    between joints have no mass, as RaiSim allows, or a very small one, as other tools require.
     """
     robot = ElementTree.Element("robot", name=name)
     material = ElementTree.SubElement(robot, "material", name="skin")

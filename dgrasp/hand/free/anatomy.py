@@ -1,7 +1,7 @@
 """Anatomy of the free hand: bones, joints and limits of a right hand of our own, from published anthropometry.
 
 It has the 16 parts and 21 key points of `dgrasp.hand.mano.skeleton` and depends on no licensed hand model;
-`dgrasp.hand.free.make_skin` lays a skin around it, `dgrasp.hand.free.hand` makes a URDF of that.
+`dgrasp.hand.free.make_skin` lays a skin around it, and `dgrasp.hand.free.hand` makes a URDF from that.
 
 Wrist frame: origin at the wrist's centre of rotation; the fingers point along -x, the palm faces -y, the thumb
 is on the +z side. At the zero pose the hand is flat, its fingers straight and slightly spread, and every joint
@@ -19,7 +19,7 @@ Sources
   Cooney et al., J. Bone Joint Surg. 63-A, 1981 (total ranges: flexion 53, abduction 42, rotation 17 deg), here
   counted from the zero pose, where the thumb is stretched out, and the rotation to both sides. All
   are widened by `SLACK_DEG`; motions that anatomy couples or allows only passively have small ranges of their own.
-- Radii and the places of the metacarpals' bases are ours, for a hand of this size.
+- Radii and the places of the metacarpals' bases are our own choice, for a hand of this size.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ CARPAL_HEIGHT = 0.54 * 0.0646
 """m, from the radius to the base of the third metacarpal."""
 
 METACARPALS = {"index": 0.0681, "middle": 0.0646, "ring": 0.0580, "little": 0.0537}
-"""Lengths in m. The thumb's metacarpal moves and stands in `BONES`."""
+"""Lengths in m. The thumb's metacarpal moves, so it is in `BONES`."""
 
 BONES = {
     "index": (0.0398, 0.0224, 0.0158 + 0.0038),
@@ -63,7 +63,7 @@ METACARPAL_BASES = {"index": (0.005, 0.015), "middle": (0.0, 0.0), "ring": (0.00
 """(x towards the wrist, z) in m, relative to the base of the third metacarpal."""
 
 KNUCKLE_DROP = {"index": 0.002, "middle": 0.0, "ring": 0.002, "little": 0.005}
-"""How far in m the knuckles lie below the third one on the palm's side: the transverse arch."""
+"""How far in m the knuckles lie below the third one, towards the palm's side: the transverse arch."""
 
 SPREAD_DEG = {"index": 4.0, "middle": 0.0, "ring": -4.0, "little": -9.0}
 """Directions of the straight fingers, degrees from -x towards the thumb's side."""
@@ -95,7 +95,7 @@ THUMB_RANGES: tuple[Ranges, Ranges, Ranges] = (
 
 @dataclass(frozen=True)
 class HandPart:
-    """One rigid part. offset: (3,) m, its frame's origin in the parent part's frame, both parallel at zero pose.
+    """One rigid part. offset: (3,) m, its frame's origin in the parent part's frame; they are parallel at zero pose.
 
     limits: (3, 2) rad for the rotations about x, y, z.
     """
@@ -107,7 +107,7 @@ class HandPart:
 
 
 def knuckles() -> dict[str, Array]:
-    """(3,) m per finger but the thumb: the joint between metacarpal and finger, in the wrist frame.
+    """(3,) m for each finger except the thumb: the joint between metacarpal and finger, in the wrist frame.
 
     The knuckles share the hand's breadth in proportion to the fingers' radii, the third one straight ahead.
     """
@@ -142,7 +142,7 @@ def anatomical_axes(finger: str, segment: int, bone: Array) -> Array:
     if finger != "thumb":
         return np.stack([-bone, np.cross(bone, to_palm), to_palm])
     across = np.cross(to_palm, bone)
-    # Turning about `across` closes the thumb across the palm, about `to_palm` lifts it in front of the palm.
+    # Turning about `across` closes the thumb across the palm; turning about `to_palm` lifts it in front of the palm.
     if segment == 0:
         return np.stack([-bone, to_palm, across])
     pronation = math.radians(THUMB_PRONATION_DEG)

@@ -2,8 +2,8 @@
 
 A smooth union of tapered, flattened capsules along bones and muscles, in the wrist frame of `dgrasp.hand.free.anatomy`
 at its zero pose: carpus, metacarpals and the pads in front of them, the balls of thumb and little finger, the first
-phalanges, and the webs between the digits. Where the bones lie is that module's; how thick the flesh on them is was
-chosen such that the palm is as thick as published (`dgrasp.hand.free.rings` names the source).
+phalanges, and the webs between the digits. That module places the bones. The thickness of the flesh on them was chosen
+such that the palm is as thick as published (`dgrasp.hand.free.rings` names the source).
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from dgrasp.hand.free.anatomy import (
 from dgrasp.types import Array
 
 BLEND = 0.003
-"""m over which neighbouring bodies flow into each other."""
+"""m over which neighbouring bodies blend into each other."""
 WEB_SHARE = 0.44
 """Where the webs between the fingers end, as a share of the first phalanx."""
 
@@ -36,9 +36,9 @@ _BACK = np.array([0.0, 1.0, 0.0])
 
 @dataclass(frozen=True, eq=False)
 class Flesh:
-    """A tapered capsule from start to end (3,) m, of these half breadths (m) there.
+    """A tapered capsule from start to end, (3,) m each.
 
-    ratio: its thickness along the hand's back, per breadth.
+    radii: half breadths at start and end, m. ratio: thickness towards the hand's back, per breadth.
     """
 
     start: Array
@@ -87,12 +87,12 @@ def _by(point: Array, x: float, y: float, z: float) -> Array:
 
 
 def web_reach(finger: str) -> float:
-    """m from the knuckle along the finger to where its skin leaves the palm's."""
+    """m from the knuckle along the finger to the place where its skin leaves the palm's."""
     return WEB_SHARE * BONES[finger][0]
 
 
 def field(points: Array, bodies: Sequence[Flesh]) -> tuple[Array, Array]:
-    """Values (N,) m and gradients (N, 3) at points (N, 3): about the distance from the surface, negative inside."""
+    """Values (N,) m and gradients (N, 3) at points (N, 3): roughly the distance from the surface, negative inside."""
     parts = [_distance(points, body) for body in bodies]
     far, slopes = np.stack([value for value, _ in parts]), np.stack([slope for _, slope in parts])
     nearest = far.min(axis=0)
@@ -106,13 +106,13 @@ def onto_surface(points: Array, bodies: Sequence[Flesh], moves: Array, steps: in
     for _ in range(steps):
         value, slope = field(points, bodies)
         slope = slope * moves
-        # The floor keeps a point that may hardly move from jumping.
+        # The lower bound keeps a point that can hardly move from jumping.
         points = points - value[:, None] * slope / np.maximum((slope**2).sum(axis=1, keepdims=True), 0.05)
     return points
 
 
 def _distance(points: Array, body: Flesh) -> tuple[Array, Array]:
-    """The field of one body; across a flattened one it is measured as if it were round."""
+    """The field of one body and its gradient. A flattened body is measured as if it were round."""
     stretch = np.eye(3) + (1.0 / body.ratio - 1.0) * np.outer(_BACK, _BACK)
     offset, bone = (points - body.start) @ stretch, stretch @ (body.end - body.start)
     taper = body.radii[1] - body.radii[0]

@@ -1,7 +1,7 @@
 """The free hand as a RaiSim-style URDF: `python -m dgrasp.hand.free.hand [FILE]` writes it.
 
-It is cut from the skin that ships (`dgrasp.hand.free.skin`) the way a MANO hand is: a capsule per finger part, a box
-for the palm. Its joint limits are those of `dgrasp.hand.free.anatomy`.
+The hand is cut from the skin that ships (`dgrasp.hand.free.skin`), in the same way as a MANO hand: a capsule per finger
+part, a box for the palm. Its joint limits are those of `dgrasp.hand.free.anatomy`.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ def free_hand_urdf() -> str:
 
 
 def main(arguments: list[str]) -> None:
-    """Write the URDF to the file given, or to where it ships."""
+    """Write the URDF to the given file, by default to `URDF_PATH`."""
     path = Path(arguments[0]) if arguments else URDF_PATH
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(free_hand_urdf(), encoding="utf-8", newline="\n")

@@ -2,7 +2,7 @@
 
 Joints and tips are those of `dgrasp.hand.free.anatomy`, the surface is that of `dgrasp.hand.free.rings`. Skinning
 weights fade over a few millimetres about each joint, along the digit that a vertex belongs to; only the thumb's base
-moves skin of the palm over a wider way. Everything is computed here, in under three seconds.
+moves the palm's skin over a wider range. Everything is computed here, in under three seconds.
 
 Shape parameters (`SHAPES`): one unit is one standard deviation of that measure among British adults of one sex
 (Pheasant, "Bodyspace", 2nd ed., 1996), each taken alone.
@@ -30,25 +30,25 @@ SHAPES = (
     ("size of the whole hand", 0.052), ("length of the four fingers", 0.060), ("girth of all digits", 0.050),
     ("breadth of the palm", 0.055), ("thickness of the palm", 0.065), ("length of the thumb", 0.080),
 )  # fmt: skip
-"""Shape parameters by their order, and the share by which one unit changes them."""
+"""Shape parameters in their order, and the share by which one unit changes the measure."""
 
 RELAXED_DEG = ((20.0, 35.0, 15.0), (25.0, 38.0, 15.0), (28.0, 38.0, 15.0), (30.0, 35.0, 15.0), (5.0, 12.0, 15.0))
-"""Flexion per digit and joint of the mean pose: a hand at rest. Ours."""
+"""Flexion per digit and joint in the mean pose: a hand at rest. Our own choice."""
 
 FADES = ((0.0125, 0.0095, 0.0080), (0.0, 0.0130, 0.0110))
-"""m, half the way over which weights fade about the joints, of an index finger and of the thumb."""
+"""m. Half the length over which weights fade about each joint, for an index finger and for the thumb."""
 _THUMB_PALM = (-0.002, 0.004, -0.074)
 """m. Skin of the palm with z below the first, or x above the second or below the third, stays when the thumb moves."""
 _DIFFUSIONS = 12
 
 
 def skin_arrays() -> dict[str, Array]:
-    """The members of the file, computed: nine decimals, so that platforms agree."""
+    """Compute the file's arrays, rounded to nine decimals so that platforms agree."""
     mesh = ring_mesh()
     vertices = np.round(mesh.vertices, 9)
     joints = rest_joints()
     moved = moved_shares(mesh, vertices, joints)
-    # What moves with a joint but not with the next one.
+    # A part's weight is the share that moves with its joint but not with the next one.
     weights = np.concatenate([np.ones((len(vertices), 1)), moved[:, 1:]], axis=1)
     for part in range(1, N_PARTS):
         weights[:, PART_PARENT[part]] -= moved[:, part]
@@ -79,7 +79,7 @@ def rest_joints() -> Array:
 
 
 def moved_shares(mesh: RingMesh, vertices: Array, joints: Array) -> Array:
-    """(V, 16): how much of a vertex moves with each part or with parts beyond it; 1 for the palm."""
+    """(V, 16): the share of each vertex that moves with a part or with parts beyond it; 1 for the palm."""
     shares = np.ones((len(vertices), N_PARTS))
     for index, finger in enumerate(FINGERS):
         own, thumb = digit(finger), finger == "thumb"
@@ -96,7 +96,7 @@ def moved_shares(mesh: RingMesh, vertices: Array, joints: Array) -> Array:
 
 
 def _thumb_base(mesh: RingMesh, vertices: Array) -> Array:
-    """(V,): how much moves with the thumb's metacarpal: all on its head, a share around it that spreads evenly."""
+    """(V,): share that moves with the thumb's metacarpal: 1 on the metacarpal's head, diffused evenly around it."""
     own, mine = digit("thumb"), mesh.digits[:, FINGERS.index("thumb")] > 0
     bone = own.lengths[0]
     along = (vertices - own.origin) @ own.along / bone
@@ -126,10 +126,10 @@ def _smooth(x: Array) -> Array:
 
 
 def regressor(vertices: Array, joints: Array, moved: Array) -> Array:
-    """(16, V): each joint from the skin that bends there, and the wrist from the opening.
+    """(16, V): shares of vertices that give each joint from the skin that bends there, and the wrist from the opening.
 
-    Of all shares that sum to 1 and give the joint, the ones nearest to equal; vertices whose share would be negative
-    are left out.
+    The shares sum to 1, give the joint, and are as nearly equal as possible. Vertices whose share would be negative are
+    left out.
     """
     found = np.zeros((N_PARTS, len(vertices)))
     for part in range(N_PARTS):
@@ -139,7 +139,7 @@ def regressor(vertices: Array, joints: Array, moved: Array) -> Array:
             equal = np.full(len(chosen), 1.0 / len(chosen))
             rows = np.vstack([np.ones(len(chosen)), (vertices[chosen] - joints[part]).T])
             lack = np.array([1.0, 0.0, 0.0, 0.0]) - rows @ equal
-            # A single ring lies in a plane: its distance from that is no direction to solve along.
+            # A single ring lies in a plane: rcond drops the direction normal to it, which cannot be solved.
             found[part] = 0.0
             found[part, chosen] = equal + np.linalg.lstsq(rows, lack, rcond=1e-6)[0]
             near &= found[part] > 0.0
@@ -149,7 +149,7 @@ def regressor(vertices: Array, joints: Array, moved: Array) -> Array:
 def shape_basis(vertices: Array, joints: Array, weights: Array) -> Array:
     """(V, 3, S): displacement per unit of `SHAPES`; weights (V, 16) in the order of `skeleton.PARTS`.
 
-    Each part is stretched about its joint, and carries the parts beyond it along.
+    Each part is stretched about its joint and carries the parts beyond it along.
     """
     basis = np.zeros((len(vertices), 3, len(SHAPES)))
     bones = [np.outer(d, d) for d in (finger_direction(f) for f in FINGERS)]
@@ -173,12 +173,12 @@ def shape_basis(vertices: Array, joints: Array, weights: Array) -> Array:
 
 
 def pose_basis(vertices: Array, joints: Array, moved: Array) -> Array:
-    """(V, 3, 135): keeps the flesh at a bent joint from shrinking, as linear blending alone would make it.
+    """(V, 3, 135): pose blend shapes that keep flesh at a bent joint from shrinking, which linear blending would cause.
 
-    A share w of a vertex that turns by R about a joint is carried by M = 1 + w (R - 1), which shrinks: M^T M =
-    1 + w (1 - w) (R + R^T - 2). To first order its inverse root undoes that: 1 - w (1 - w) / 2 ((R - 1) + (R - 1)^T),
-    which is linear in the entries of R - 1, as pose blend shapes are. It acts on the back of the digits alone: on the
-    palm's side there is too much skin at a bent joint anyway, and more would only fold.
+    If a share w of a vertex turns by R about a joint, blending moves the vertex by M = 1 + w (R - 1). This shrinks:
+    M^T M = 1 + w (1 - w) (R + R^T - 2). The inverse root of M^T M undoes that. To first order it is
+    1 - w (1 - w) / 2 ((R - 1) + (R - 1)^T), which is linear in the entries of R - 1, as pose blend shapes are. It acts
+    on the back of the digits alone: on the palm's side a bent joint has too much skin anyway; more would only fold.
     """
     basis = np.zeros((len(vertices), 3, N_PARTS - 1, 3, 3))
     one = np.eye(3)
@@ -215,7 +215,7 @@ def _poses() -> tuple[Array, Array]:
     for movement in [*(w.reshape(45) for w in wanted), *np.eye(45)]:
         left = movement / np.linalg.norm(movement)
         for _ in range(2):
-            # Twice, for the digits' sake.
+            # Orthogonalised twice, for numerical accuracy.
             left = left - sum((row @ left) * row for row in rows)
         if np.linalg.norm(left) > 1e-6:
             rows.append(left / np.linalg.norm(left))
@@ -223,7 +223,7 @@ def _poses() -> tuple[Array, Array]:
 
 
 def write_skin(path: Path) -> None:
-    """Write the file, always the same arrays."""
+    """Write the file; its arrays are always the same."""
     meta = {"format": FORMAT, "schema": SCHEMA, "units": {"length": "m", "angle": "rad"}, "side": "right",
             "licence": licences.PROJECT, "made_by": "dgrasp.hand.free.make_skin",
             "shapes": [name for name, _ in SHAPES]}
@@ -233,7 +233,7 @@ def write_skin(path: Path) -> None:
 
 
 def main(arguments: list[str]) -> None:
-    """Write the model to the file given, or to where it ships."""
+    """Write the model to the given file, by default to the one that ships (`skin_path`)."""
     path = Path(arguments[0]) if arguments else skin_path()
     write_skin(path)
     print(path)

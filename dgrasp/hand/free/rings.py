@@ -1,15 +1,15 @@
 """The free hand's surface at the mean shape and zero pose: rings of vertices around palm and digits.
 
 The palm is a tube of `LEVELS` rings around a lattice of 12 x 2 cells, three columns per finger. Each finger leaves its
-end as a tube of ten-sided rings, the thumb leaves its side as one of twelve-sided rings, and each ends in one vertex,
-the tip of the skeleton. So by construction the surface has no gap, one opening at the wrist, and rings where the
-joints bend. It has 778 vertices, as MANO's has, with the tips at the places where MANO's are looked for. The outer
-rings stand as `FINGER_RINGS` and `THUMB_RINGS` say; palm and webs are drawn onto `dgrasp.hand.free.flesh` while their
-vertices spread evenly.
+end as a tube of ten-sided rings. The thumb leaves its side as a tube of twelve-sided rings. Each digit ends in one
+vertex, the tip of the skeleton. By construction, the surface has no gap, one opening at the wrist, and rings where the
+joints bend. It has 778 vertices, as MANO's has, with the tips at the indices of MANO's tips. `FINGER_RINGS` and
+`THUMB_RINGS` place the outer rings. Palm and webs are drawn onto `dgrasp.hand.free.flesh` while their vertices spread
+evenly.
 
 Source: Pheasant, "Bodyspace", 2nd ed., 1996, hand dimensions of British adults, means of men and women: breadth and
-thickness of index finger and thumb at the joint below. The other fingers follow by the radii of `free_anatomy`; the
-profiles along the digits, and where the skin lies about the bones, are ours.
+thickness of index finger and thumb at the joints named below. The other fingers are scaled by the radii of
+`dgrasp.hand.free.anatomy`. The profiles along the digits, and where the skin lies about the bones, are our own choice.
 """
 
 from __future__ import annotations
@@ -42,8 +42,8 @@ CUT = 0.25 * CARPAL_HEIGHT
 LEVELS, COLUMNS = 10, 12
 
 Ring = tuple[int, float, float, float, float]
-"""Which bone (0 to 2), how far along it (a share), half the breadth and thickness in units of those measured above, and
-how far the middle lies from the bone towards the palm, in halves of the thickness there."""
+"""Bone (0 to 2), place along it (a share), breadth and thickness as shares of those measured above, and distance of the
+middle from the bone towards the palm, in units of half the thickness there."""
 
 FINGER_RINGS: tuple[Ring, ...] = (
     (0, 0.82, 0.985, 1.00, 0.08), (1, 0.00, 1.00, 1.00, 0.06), (1, 0.24, 0.965, 0.97, 0.08),
@@ -58,12 +58,12 @@ THUMB_RINGS: tuple[Ring, ...] = (
     (2, 0.22, 1.00, 0.92, 0.08), (2, 0.50, 0.96, 0.83, 0.11), (2, 0.75, 0.80, 0.68, 0.11), (2, 0.93, 0.46, 0.40, 0.06),
 )  # fmt: skip
 _THUMB_ROOTS = 4
-"""Rings that are drawn onto the thumb's ball, before those above."""
+"""Number of rings that are drawn onto the thumb's ball, between the palm and `THUMB_RINGS`."""
 _THUMB_LEVELS = (2, 5)
 _THUMB_CORNERS = ((12, 2), (12, 1), (12, 0), (11, 0))
-"""The patch of the palm that the thumb leaves: between these levels, around the edge of palm and side."""
+"""The patch of the palm from which the thumb grows: between these levels, around the edge of palm and side."""
 _THUMB_PHASE = 75.0
-"""Degrees around the thumb of the patch's corner at the back and nearest to the wrist."""
+"""Angle around the thumb, degrees, of the patch's corner that is at the back and nearest to the wrist."""
 _ROUNDS = 150
 
 Quad = tuple[int, int, int, int]
@@ -73,8 +73,8 @@ Quad = tuple[int, int, int, int]
 class RingMesh:
     """vertices (V, 3) m, faces (F, 3) wound outwards, open at the wrist, tips (5,) vertices.
 
-    digits (V, 5): whose a vertex is, 1 or, between two fingers, halves; of a palm's vertex which finger it lies below,
-    and 0 for the thumb.
+    digits (V, 5): 1 for the digit that a vertex belongs to, or halves for the two fingers that it lies between. A
+    vertex of the palm belongs to the finger that it lies below, never to the thumb.
     """
 
     vertices: Array
@@ -85,7 +85,10 @@ class RingMesh:
 
 @dataclass(frozen=True, eq=False)
 class Digit:
-    """A straight digit: its first joint (3,) m, and unit vectors (3,) along, to the thumb's side and to the back."""
+    """A straight digit: its first joint (3,) m, and unit vectors (3,) along, to the thumb's side and to the back.
+
+    lengths: as in `anatomy.BONES`, m.
+    """
 
     origin: Array
     along: Array
@@ -94,12 +97,12 @@ class Digit:
     lengths: tuple[float, float, float]
 
     def at(self, bone: int, share: float = 0.0) -> float:
-        """m from the first joint."""
+        """m from the first joint to a share of a bone."""
         return sum(self.lengths[:bone]) + share * self.lengths[bone]
 
 
 def digit(finger: str) -> Digit:
-    """Where a digit lies; side and back are those of the flexion of its two outer joints."""
+    """The digit at the zero pose; its side and back are those of the flexion of its two outer joints."""
     along = finger_direction(finger)
     origin = np.array(THUMB_BASE) if finger == "thumb" else knuckles()[finger]
     side = anatomical_axes(finger, 1, along)[2]
@@ -107,7 +110,7 @@ def digit(finger: str) -> Digit:
 
 
 def ring_mesh() -> RingMesh:
-    """The mesh, always the same."""
+    """Build the mesh; it is always the same."""
     builder = _Builder()
     palm = builder.palm()
     for finger in FINGERS[:4]:
@@ -115,7 +118,7 @@ def ring_mesh() -> RingMesh:
     builder.thumb(palm)
     vertices = _drawn(builder)
     faces = np.array([*(t for quad in builder.quads for t in _halves(vertices, quad)), *builder.triangles])
-    # The tips move to where MANO's are; all others keep their order.
+    # The tips move to the indices of MANO's tips; all other vertices keep their order.
     tips = [builder.tips[finger] for finger in FINGERS]
     order = [i for i in range(len(vertices)) if i not in tips]
     for place, tip in zip(MANO_TIPS["right"], tips, strict=True):
@@ -125,7 +128,7 @@ def ring_mesh() -> RingMesh:
 
 
 class _Builder:
-    """Vertices with whether they are still to be drawn onto the flesh, and faces; grows from the wrist to the tips."""
+    """The mesh as it grows from the wrist to the tips. free: vertices that are still to be drawn onto the flesh."""
 
     def __init__(self) -> None:
         self.points: list[Array] = []
@@ -136,8 +139,10 @@ class _Builder:
         self.tips: dict[str, int] = {}
 
     def palm(self) -> dict[tuple[int, int, int], int]:
-        """The palm's tube; the number of each vertex by level, column (0 is the little finger's side) and row (0 is the
-        palm's side)."""
+        """Add the palm's tube.
+
+        Returns each vertex's index by level, column (0 is the little finger's side) and row (0 is the palm's side).
+        """
         around, web = _around(0, COLUMNS), _web_line()
         first, last = _THUMB_LEVELS
         places = [(i, *p) for i in range(LEVELS) for p in around
@@ -164,7 +169,7 @@ class _Builder:
         return number
 
     def finger(self, palm: dict[tuple[int, int, int], int], finger: str) -> None:
-        """A finger's tube from the palm's end to its tip."""
+        """Add a finger's tube from the palm's end to its tip."""
         index = FINGERS.index(finger)
         column = 3 * (3 - index)
         ring = [palm[LEVELS - 1, c, row] for c, row in _around(column, column + 3)]
@@ -172,7 +177,7 @@ class _Builder:
         self._tube(ring, finger, rings, np.radians(36.0 * np.arange(10)), *_halves_of(finger))
 
     def thumb(self, palm: dict[tuple[int, int, int], int]) -> None:
-        """The thumb's tube from its patch to its tip."""
+        """Add the thumb's tube from its patch to its tip."""
         a, b = _THUMB_LEVELS
         back, side, edge, inner = _THUMB_CORNERS
         loop = [*((i, *back) for i in range(a, b + 1)), (b, *side), (b, *edge),
@@ -217,7 +222,7 @@ def _around(low: int, high: int) -> list[tuple[int, int]]:
 
 
 def _halves_of(finger: str) -> tuple[float, float]:
-    """Half the breadth and thickness, m, that the rings are measured in."""
+    """Half the breadth and half the thickness, m: the units of the rings."""
     if finger == "thumb":
         return THUMB_BREADTH / 2, THUMB_THICKNESS / 2
     size = RADII[finger][1] / RADII["index"][1]
@@ -244,7 +249,7 @@ def _web_line() -> Array:
 
 
 def _drawn(builder: _Builder) -> Array:
-    """(V, 3) m: the free vertices on the flesh, evenly spread, the opening's in its plane."""
+    """(V, 3) m: all vertices, the free ones spread evenly on the flesh, and those of the opening in its plane."""
     points, free = np.array(builder.points), np.flatnonzero(builder.free)
     pairs = np.concatenate(
         [np.stack([face, np.roll(face, -1)], axis=1) for face in (*builder.quads, *builder.triangles)]
@@ -254,7 +259,7 @@ def _drawn(builder: _Builder) -> Array:
     moves[points[free, 0] == CUT, 0] = 0.0
     bodies = palm_flesh()
     for _ in range(_ROUNDS):
-        # Long edges pull more than short ones, or the rings would slip to the narrow end of a cone.
+        # Long edges pull more than short ones; otherwise the rings would slip to the narrow end of a cone.
         span = points[edges[:, 1]] - points[edges[:, 0]]
         pull = np.linalg.norm(span, axis=1, keepdims=True)
         total, weight = np.zeros_like(points), np.zeros((len(points), 1))
@@ -271,7 +276,7 @@ def _drawn(builder: _Builder) -> Array:
 
 
 def _halves(points: Array, quad: Quad) -> list[tuple[int, int, int]]:
-    """Two triangles along the shorter diagonal; rounding does not decide between equal ones."""
+    """Two triangles along the shorter diagonal. The margin keeps rounding from deciding between equal ones."""
     a, b, c, d = quad
     if math.dist(points[a], points[c]) <= 1.02 * math.dist(points[b], points[d]):
         return [(a, b, c), (a, c, d)]

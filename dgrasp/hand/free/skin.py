@@ -29,11 +29,11 @@ MAX_BYTES = 16 * 2**20
 
 MEMBERS = ("v_template", "f", "shapedirs", "posedirs", "J_regressor", "weights", "kintree_table", "hands_mean",
            "hands_components")  # fmt: skip
-"""The file's arrays, under MANO's names; beside them `meta`, a JSON text."""
+"""The file's arrays, under MANO's names. The file also holds `meta`, a JSON text."""
 
 
 def skin_path() -> Path:
-    """The file that ships."""
+    """The path of the file that ships."""
     return data_root() / "free" / "hand" / SKIN_FILE
 
 
@@ -44,7 +44,7 @@ def free_skin() -> ManoModel:
 
 
 def read_skin(path: Path) -> ManoModel:
-    """The model of such a file; a `DataError` names file and entry where it is missing, damaged, or no hand."""
+    """Read the model of such a file. Raises `DataError` naming file and entry if it is missing, damaged, or no hand."""
     again = "write it anew with `python -m dgrasp.hand.free.make_skin`"
     with open_npz(path, "hand model", MAX_BYTES) as archive:
         lacking = [name for name in ("meta", *MEMBERS) if f"{name}.npy" not in archive.names]
@@ -64,5 +64,5 @@ def free_limits() -> Array:
 
 @cache
 def rest_pose() -> Array:
-    """(45,) rad: the fingers of a right hand at rest, which is the model's mean pose."""
+    """(45,) rad: the finger angles of a right hand at rest, which are the model's mean pose."""
     return project_pose(free_skin().hands_mean[None])[0]

@@ -1,4 +1,4 @@
-"""MANO's hand model files (MANO_RIGHT.pkl, MANO_LEFT.pkl), read without chumpy and without running their pickle.
+"""Read MANO's hand model files (MANO_RIGHT.pkl, MANO_LEFT.pkl) without chumpy and without running their pickle.
 
 A file is a Python 2 pickle of a dictionary: plain arrays, a sparse matrix, and expressions of the chumpy
 library, of which two kinds occur: `Ch`, which is its array `x`, and `Select`, which picks the entries `idxs` of a
@@ -30,7 +30,7 @@ _GIVE = "give MANO_RIGHT.pkl or MANO_LEFT.pkl"
 
 
 class _Chumpy:
-    """A chumpy expression: its state, never evaluated by the file's will."""
+    """A chumpy expression: its state as data. Nothing in the file can evaluate it."""
 
     state: dict[str, Any]
 
@@ -51,7 +51,7 @@ class _SparseRows(_Sparse):
 
 
 def _set(items: Any = ()) -> None:
-    """chumpy's states hold sets of names; nothing of them is needed."""
+    """In place of sets: chumpy's states hold sets of names, which are not needed."""
 
 
 _ALLOWED: Globals = {
@@ -68,7 +68,7 @@ _ALLOWED: Globals = {
 
 
 class _ManoUnpickler(ArrayUnpickler):
-    """Builds arrays of numpy and keeps the states of chumpy and scipy objects."""
+    """Builds numpy arrays and keeps the states of chumpy and scipy objects."""
 
     allowed: ClassVar[Globals] = _ALLOWED
 
@@ -82,9 +82,9 @@ class _ManoUnpickler(ArrayUnpickler):
 
 
 def read_mano(path: Path) -> ManoModel:
-    """The hand model of a MANO file, checked.
+    """Read and check the hand model of a MANO file.
 
-    Raises `DataError` naming file and entry for a file that is missing, damaged, no MANO hand, or in another unit,
+    Raises `DataError` naming file and entry for a file that is missing, damaged, not a MANO hand, or in another unit,
     frame or order of fingers than MANO's.
     """
     path = Path(path)
@@ -92,7 +92,7 @@ def read_mano(path: Path) -> ManoModel:
 
 
 def model_of(content: Any, path: Path) -> ManoModel:
-    """The hand model of a dictionary with MANO's entries, checked as `read_mano` does; path: where it comes from."""
+    """The hand model of a dictionary with MANO's entries, checked as in `read_mano`. path: where it comes from."""
     try:
         return _model(content)
     except DataError as error:
@@ -136,7 +136,7 @@ def _model(content: Any) -> ManoModel:
 
 
 def _check_geometry(template: Array, joints: Array) -> None:
-    """Metres, joints inside the hand, and MANO's order of fingers."""
+    """Check that the unit is m, the joints lie inside the hand, and the fingers are in MANO's order."""
     extent = float(np.ptp(template, axis=0).max())
     if not EXTENT[0] <= extent <= EXTENT[1]:
         raise DataError(f"the hand is {extent:g} long; expected {EXTENT[0]:g} to {EXTENT[1]:g} m; convert the file")
@@ -145,7 +145,7 @@ def _check_geometry(template: Array, joints: Array) -> None:
         raise DataError("J_regressor puts joints outside the hand; get the file again")
     little, ring = (float(np.linalg.norm(joints[j] - joints[1])) for j in (7, 10))
     if little <= ring:
-        raise DataError("the ring finger stands before the little finger; expected MANO's order index, middle, "
+        raise DataError("the ring finger comes before the little finger; expected MANO's order index, middle, "
                         "little, ring, thumb")
 
 
@@ -163,14 +163,14 @@ def _array(content: dict[Any, Any], key: str, shape: tuple[int | None, ...], who
         raise DataError(f"{key} holds {value.dtype} numbers; expected whole ones")
     if not np.isfinite(value).all():
         raise DataError(f"{key} holds NaN or infinity; get the file again")
-    # float16 and the like would overflow in the next line only for absurd values.
+    # The bound also keeps a wider type of float from overflowing in the conversion to float64.
     if not whole and np.abs(value).max(initial=0.0) > 1e6:
         raise DataError(f"{key} holds values beyond 1e6; get the file again")
     return value.astype(np.int64 if whole else np.float64)
 
 
 def _evaluated(value: Any, key: str) -> Any:
-    """A chumpy expression as the array that it stands for; anything else as it is."""
+    """The array that a chumpy expression stands for; anything else unchanged."""
     chain: list[dict[str, Any]] = []
     while isinstance(value, _Chumpy):
         if len(chain) > 8 or not isinstance(getattr(value, "state", None), dict):
@@ -196,7 +196,7 @@ def _evaluated(value: Any, key: str) -> Any:
 
 
 def _dense(value: Any, key: str) -> Array:
-    """An array as it is, a sparse matrix written out."""
+    """An array unchanged, or a sparse matrix as a dense array."""
     if isinstance(value, np.ndarray):
         return value
     if not isinstance(value, _Sparse) or not isinstance(getattr(value, "state", None), dict):

@@ -13,11 +13,11 @@ from dgrasp.types import Array
 from raisim_like.urdf import UrdfModel
 
 MANO_NAMES = HandNames(DOF_NAMES[N_WRIST:], PARTS, KEYPOINTS)
-"""What joints, parts and key points of such a hand are called, whatever its URDF calls them."""
+"""The names of such a hand's joints, parts and key points, whatever its URDF calls them."""
 
 
 def difference_from_mano(urdf: UrdfModel) -> str | None:
-    """Where the finger joints of a URDF differ from MANO's; None where they do not."""
+    """How the finger joints of a URDF differ from MANO's, as a text for messages; None if they do not."""
     if urdf.dof != N_DOF:
         return f"a hand has {N_DOF} joints (3 translations, 16 x 3 rotations), found {urdf.dof}"
     for i, link in enumerate(urdf.links[N_WRIST:], start=N_WRIST):
@@ -41,7 +41,7 @@ def difference_from_mano(urdf: UrdfModel) -> str | None:
 
 
 def mano_kinematics(offsets: Array) -> Kinematics:
-    """The kinematics of such a hand from its parts' offsets (16, 3) alone, with the fingertips at the last joints."""
+    """The kinematics of such a hand from its parts' offsets (16, 3) m alone, with the fingertips at the last joints."""
     joints = N_DOF - N_WRIST
     owners = [0 if point == "wrist" else PARTS.index(point.replace("tip", "distal")) for point in KEYPOINTS]
     return Kinematics(
@@ -52,6 +52,6 @@ def mano_kinematics(offsets: Array) -> Kinematics:
 
 
 def mano_rest(side: Side) -> Array:
-    """(45,) rad: finger angles at rest, the free model's mean pose in the place of MANO's."""
+    """(45,) rad: finger angles at rest. They are the mean pose of the free hand's model, in place of MANO's."""
     angles = rest_pose()
     return angles if side == "right" else angles * np.tile(MIRROR_ANGLES, len(angles) // 3)

@@ -12,7 +12,7 @@ from dgrasp.hand.mano.skeleton import FINGERS, MANO_FINGERS, N_PARTS
 from dgrasp.types import Array
 
 EXTENT = (0.08, 0.5)
-"""m. The largest extent of a hand; outside it the numbers are taken for another unit."""
+"""m. Range of the largest extent of a hand; outside it, a model is taken to be in another unit."""
 
 MANO_PARENTS = (-1, 0, 1, 2, 0, 4, 5, 0, 7, 8, 0, 10, 11, 0, 13, 14)
 """Parents of MANO's 16 joints: the wrist, then three per finger, in the order `skeleton.MANO_FINGERS`."""
@@ -26,7 +26,7 @@ MIRROR_ANGLES = np.array([1.0, -1.0, -1.0])
 """The same for rotations: the factors of rotation vectors and of Euler angles about x, y, z."""
 
 MANO_TIPS: dict[Side, tuple[int, ...]] = {"right": (317, 444, 556, 673, 745), "left": (317, 445, 556, 673, 745)}
-"""Vertices of MANO's own mesh that DexYCB and others take for the fingertips, order of `skeleton.FINGERS`."""
+"""Vertices of MANO's own mesh that DexYCB and others use as fingertips, order of `skeleton.FINGERS`."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,7 +37,7 @@ class ManoModel:
     shape parameter (beta). pose_basis (V, 3, 135): displacement per entry of (R - 1) of joints 1 to 15, row by row.
     J_regressor (16, V): joints from vertices. weights (V, 16): skinning weights. faces (F, 3). kintree (2, 16):
     parents (-1 for the wrist) and ids of the joints. hands_mean (45,), hands_components (45, 45): mean and
-    principal components (rows) of the finger joints' rotation vectors, rad. side: whose hand it is.
+    principal components (rows) of the finger joints' rotation vectors, rad. side: a right or a left hand.
     tip_vertices (5,): vertices of the fingertips, order of `skeleton.FINGERS`.
 
     In MANO's frame the fingers of a right hand point along -x, those of a left hand along +x, the palm faces -y
@@ -80,7 +80,7 @@ class ManoModel:
 
 
 def mirror_mano(model: ManoModel) -> ManoModel:
-    """The other hand: the mirror image at x = 0, such that the same betas and mirrored poses give mirrored meshes."""
+    """The other hand: the mirror image at x = 0. The same betas and mirrored poses give mirrored meshes."""
     # M R M has the entry (r, c) of R times the signs of r and c.
     entries = np.tile(np.outer(MIRROR, MIRROR).reshape(9), N_PARTS - 1)
     angles = np.tile(MIRROR_ANGLES, N_PARTS - 1)
@@ -100,7 +100,7 @@ def mirror_mano(model: ManoModel) -> ManoModel:
 
 
 def finger_side(joints: Array) -> Side:
-    """Whose hand joints (16, 3), MANO's order, belong to, by MANO's frame; a `DataError` if they are in another."""
+    """The side of the hand with these joints (16, 3), MANO's order and frame. Raises `DataError` for another frame."""
     fingers = joints[4] - joints[0]
     length = float(np.linalg.norm(fingers))
     if length < 1e-3 or abs(fingers[0]) < 0.8 * length or joints[13, 2] <= joints[0, 2]:
@@ -110,7 +110,7 @@ def finger_side(joints: Array) -> Side:
 
 
 def tip_vertices(template: Array, joints: Array, weights: Array, side: Side) -> Array:
-    """(5,) fingertip vertices: those that DexYCB uses for MANO's own mesh, else the distal parts' farthest ones.
+    """(5,) fingertip vertices: those that DexYCB uses for MANO's own mesh, else the farthest one of each distal part.
 
     joints (16, 3) and weights (V, 16) in MANO's order.
     """

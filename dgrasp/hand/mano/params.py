@@ -1,4 +1,4 @@
-"""MANO's parameters of hands, and the project's coordinates of the same hands, both ways.
+"""Convert MANO's parameters of hands to the project's coordinates, and back.
 
 MANO turns a hand about the wrist joint J0 of its shape and then shifts it: the wrist is at J0 + translation.
 """
@@ -39,7 +39,7 @@ class ManoParams:
 
     @classmethod
     def of(cls, model: ManoModel, betas: Array, T_AH: Array, hand_pose: Array) -> ManoParams:
-        """The parameters of wrists T_AH (N, 4, 4) and finger angles (N, 45) of shapes betas (N, S).
+        """The parameters of hands with wrists T_AH (N, 4, 4), finger angles (N, 45) and shapes betas (N, S).
 
         The inverse of `coordinates` for rotation vectors of at most pi.
         """
@@ -55,7 +55,7 @@ def wrist_joints(model: ManoModel, betas: Array) -> Array:
         raise DataError(f"betas of shape {rows.shape}; expected (hands, at most {n})")
     if not (np.abs(rows) <= 20.0).all():
         raise DataError("betas beyond 20; expected finite numbers of a few units (mean 0, deviation 1)")
-    # One row of the regressor, for all shapes at once.
+    # J0 needs one row of the regressor, for all shapes at once.
     rest: Array = model.J_regressor[0] @ model.template
     basis = np.einsum("v,vcs->sc", model.J_regressor[0], model.shape_basis[..., : rows.shape[1]])
     return rest + rows @ basis

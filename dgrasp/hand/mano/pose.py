@@ -1,4 +1,4 @@
-"""Finger poses between MANO's parameters and the project's: PCA, rotation vectors, Euler angles, order of fingers.
+"""Convert finger poses between MANO and the project: PCA, rotation vectors, Euler angles, order of fingers.
 
 MANO lists rotation vectors of 15 joints, fingers in the order index, middle, little, ring, thumb; the project lists
 intrinsic XYZ Euler angles, index, middle, ring, little, thumb.
@@ -26,7 +26,7 @@ def project_pose(rotation_vectors: Array) -> Array:
 
 
 def mano_pose(hand_pose: Array) -> Array:
-    """MANO's (N, 45) rotation vectors, of angles up to pi, of the project's (N, 45) Euler angles."""
+    """MANO's (N, 45) rotation vectors, with angles up to pi, of the project's (N, 45) Euler angles."""
     angles = _rows(hand_pose)[:, _BACK]
     R = matrix_from_euler(angles.reshape(-1, 3))
     return Rotation.from_matrix(R).as_rotvec().reshape(len(angles), 45)
@@ -35,8 +35,8 @@ def mano_pose(hand_pose: Array) -> Array:
 def from_pca(model: ManoModel, coefficients: Array, flat_hand_mean: bool) -> Array:
     """MANO's (N, 45) rotation vectors of PCA coefficients (N, K <= 45).
 
-    flat_hand_mean: whether the coefficients count from the flat hand, as some data sets have it, instead of from
-    MANO's mean pose (DexYCB: False).
+    flat_hand_mean: whether the coefficients count from the flat hand, as in some data sets, instead of from MANO's mean
+    pose (DexYCB: False).
     """
     rows = np.asarray(coefficients, dtype=float)
     if rows.ndim != 2 or not 1 <= rows.shape[1] <= 45:
@@ -46,7 +46,7 @@ def from_pca(model: ManoModel, coefficients: Array, flat_hand_mean: bool) -> Arr
 
 
 def to_pca(model: ManoModel, rotation_vectors: Array, flat_hand_mean: bool) -> Array:
-    """All 45 PCA coefficients (N, 45) of MANO's (N, 45) rotation vectors: what `from_pca` takes back."""
+    """All 45 PCA coefficients (N, 45) of MANO's (N, 45) rotation vectors: the inverse of `from_pca`."""
     mean = np.zeros(45) if flat_hand_mean else model.hands_mean
     rows = _rows(rotation_vectors).reshape(-1, 45)
     return np.linalg.solve(model.hands_components.T, (rows - mean).T).T

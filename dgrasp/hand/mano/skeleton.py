@@ -34,7 +34,7 @@ N_PARTS = len(PARTS)
 N_KEYPOINTS = len(KEYPOINTS)
 
 ACTION_SIZES = {"grasp": N_DOF, "motion": N_WRIST_DOF, "flat": N_DOF}
-"""How many numbers the policy of an `env.task` has to say: all joints, or the wrist alone."""
+"""Size of the policy's action for each `env.task`: all joints, or the wrist's alone."""
 
 DISTAL_PARTS = [i for i, name in enumerate(PARTS) if name.endswith("_distal")]
 """Indices of the five fingers' last parts, order of `FINGERS`."""

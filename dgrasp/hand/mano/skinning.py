@@ -1,4 +1,4 @@
-"""Forward skinning of a hand in MANO's layout, in numpy and in torch by the same lines, batched.
+"""Batched forward skinning of a hand in MANO's layout, by the same code in numpy and in torch.
 
 Linear blend skinning with shape and pose blend shapes (MANO: Romero, Tzionas and Black, "Embodied hands", 2017,
 section 3). Joints and rotations are in the order of `skeleton.PARTS`, key points in that of `skeleton.KEYPOINTS`.
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class HandSkin:
-    """What skinning needs of a model of V vertices and S shape parameters, as arrays of numpy or tensors of torch.
+    """The data that skinning needs of a model with V vertices and S shape parameters, as numpy arrays or torch tensors.
 
     template (3 V,), shape_basis (S, 3 V), pose_basis (135, 3 V): flattened. regressor (16, V), weights (V, 16).
     tips (5,): vertices of the fingertips. xp: numpy or torch.
@@ -38,7 +38,7 @@ class HandSkin:
     def rest(self, betas: Any = None) -> tuple[Any, Any]:
         """Vertices (N, V, 3) and joints (N, 16, 3) at the zero pose, MANO's frame, of betas (N, S' <= S).
 
-        None stands for the mean shape with N = 1. MANO's own translation t of a mesh puts the wrist at joint 0 + t.
+        Without betas, the mean shape with N = 1. MANO's own translation t of a mesh puts the wrist at joint 0 + t.
         """
         flat = self.template[None]
         if betas is not None:
@@ -75,13 +75,13 @@ class HandSkin:
 
 
 def numpy_skin(model: ManoModel) -> HandSkin:
-    """The model for arrays of numpy, float64."""
+    """The model for numpy arrays, float64."""
     return _skin(model, np, lambda array: array, list(map(int, model.tip_vertices)))
 
 
 def torch_skin(model: ManoModel, dtype: torch.dtype | None = None, device: str = "cpu") -> HandSkin:
-    """The model for tensors of torch (float64 by default); gradients flow to rotations, wrist and betas."""
-    import torch  # Late: building a hand needs none of it.
+    """The model for torch tensors (float64 by default). Gradients flow to rotations, wrist and betas."""
+    import torch  # Imported late: building a hand does not need it.
 
     def tensor(array: Any) -> Any:
         return torch.as_tensor(np.ascontiguousarray(array), dtype=dtype or torch.float64, device=device)
@@ -104,7 +104,7 @@ def euler_rotations(angles: Any) -> Any:
 def axis_angle_rotations(vectors: Any) -> Any:
     """(..., 3, 3) rotations of rotation vectors (..., 3), arrays or tensors; smooth at zero."""
     xp = _namespace(vectors)
-    # The tiny number keeps value and gradient finite at zero, far below the precision of either.
+    # The tiny number, far below the precision of either, keeps value and gradient finite at zero.
     angle = xp.sqrt((vectors**2).sum(-1) + 1e-30)
     first, second = xp.sin(angle) / angle, 2.0 * (xp.sin(angle / 2.0) / angle) ** 2
     x, y, z = (vectors[..., i] for i in range(3))

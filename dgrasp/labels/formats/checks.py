@@ -1,4 +1,4 @@
-"""Checks that every label file passes, whatever its format. Each failure is one `DataError` with its place."""
+"""Checks for label files of every format. Each failure is one `DataError` that names the place."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from dgrasp.errors import DataError
 from dgrasp.types import Array
 
 MAX_POSITION = 10.0
-"""m. Beyond it a position is taken for another unit."""
+"""m. A position beyond it is taken to be in another unit."""
 
 MAX_ANGLE = 2.0 * np.pi
-"""rad. Beyond it an angle is taken for degrees."""
+"""rad. An angle beyond it is taken to be in degrees."""
 
 QUATERNION_TOLERANCE = 1e-3
 ROTATION_TOLERANCE = 1e-6
@@ -22,11 +22,11 @@ WRIST_TOLERANCE = 1e-3
 """m, between the wrist's position and the wrist key point of one label."""
 
 Where = Callable[[int], str]
-"""Text for messages that names the file, the object and the index of the row."""
+"""Gives the text for messages that names a row: file, object and index."""
 
 
 def require(ok: Array, where: Where, problem: str, remedy: str) -> None:
-    """Raise for the first row of `ok` (n,) that is False: place, what is wrong, what to do."""
+    """Raise `DataError` for the first row of `ok` (n,) that is False: its place, the problem, and the remedy."""
     bad = np.flatnonzero(~ok)
     if bad.size:
         more = f" ({bad.size} labels have this problem)" if bad.size > 1 else ""
@@ -39,7 +39,7 @@ def _all(ok: Array) -> Array:
 
 
 def as_rows(value: object, name: str, width: Sequence[int], where: str) -> Array:
-    """`value` as float64 (n, *width); raises unless it is a plain numeric array of that shape."""
+    """`value` as float64 (n, *width). Raises `DataError` unless it is a plain numeric array of that shape."""
     expected = f"expected an array of numbers of shape (labels, {', '.join(str(n) for n in width)})"
     if not isinstance(value, np.ndarray) or value.dtype.kind not in "biuf":
         raise DataError(f"{where}: {name} is a {type(value).__name__} without plain numbers; {expected}")
@@ -49,32 +49,32 @@ def as_rows(value: object, name: str, width: Sequence[int], where: str) -> Array
 
 
 def check_finite(rows: Array, name: str, where: Where) -> None:
-    """No NaN and no infinity in (n, ...)."""
+    """Check that (n, ...) holds no NaN and no infinity."""
     require(_all(np.isfinite(rows)), where, f"{name} holds NaN or infinity; expected finite numbers",
             "remove this label or repair the file at its source")
 
 
 def check_positions(rows: Array, name: str, where: Where) -> None:
-    """All coordinates of (n, ...) within `MAX_POSITION` of the origin."""
+    """Check that all coordinates of (n, ...) are within `MAX_POSITION` of the origin."""
     require(_all(np.abs(rows) <= MAX_POSITION), where,
             f"{name} lies beyond {MAX_POSITION:g} m; expected metres", "convert the file to metres")
 
 
 def check_angles(rows: Array, name: str, where: Where) -> None:
-    """All angles of (n, ...) within `MAX_ANGLE`."""
+    """Check that all angles of (n, ...) are within `MAX_ANGLE`."""
     require(_all(np.abs(rows) <= MAX_ANGLE), where,
             f"{name} has an angle beyond 2 pi; expected radians", "convert the file to radians")
 
 
 def check_contacts(rows: Array, name: str, where: Where) -> Array:
-    """The contacts (n, 16) as bool; only 0 and 1 are taken."""
+    """The contacts (n, 16) as bool. Only 0 and 1 are accepted."""
     require(_all((rows == 0) | (rows == 1)), where, f"{name} has a value other than 0 and 1; expected 0 or 1",
             "threshold the contacts at their source")
     return rows.astype(bool)
 
 
 def check_wrist_keypoint(wrist: Array, joints: Array, where: Where) -> None:
-    """The first key point of (n, 21, 3) is the wrist's position (n, 3)."""
+    """Check that the first key point of (n, 21, 3) is at the wrist's position (n, 3)."""
     gap = np.linalg.norm(joints[:, 0] - wrist, axis=1)
     require(gap <= WRIST_TOLERANCE, where,
             f"the wrist key point lies away from the wrist's position; expected at most {WRIST_TOLERANCE:g} m",
@@ -110,7 +110,7 @@ def transforms(position: Array, rotation: Array) -> Array:
 
 
 def check_transforms(rows: Array, name: str, where: Where) -> None:
-    """(n, 4, 4) are rigid: finite, in metres, a proper rotation, last row 0 0 0 1."""
+    """Check that (n, 4, 4) are rigid: finite, in metres, a proper rotation, last row 0 0 0 1."""
     check_finite(rows, name, where)
     check_positions(rows[:, :3, 3], name, where)
     rotation = np.clip(rows[:, :3, :3], -2.0, 2.0)

@@ -8,7 +8,7 @@ indices into the tables of names in it; `index` (n,); `hand_pose` (n, J); `T_WH`
 `start_hand_pose` (n, J), which are identity and zero where there is no start. Floats are float64, so that reading gives
 back what was written.
 
-Files of schema 1 have no names: they are of hands with MANO's joints.
+Files of schema 1 have no names. Their hands have MANO's joints.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ Arrays = dict[str, Array]
 
 
 def _shapes(names: HandNames) -> dict[str, tuple[int, ...]]:
-    """Of each member for one label, but `meta`."""
+    """The shape of each member except `meta`, for one label."""
     pose = (len(names.joints),)
     shaped = {"hand_pose": pose, "start_hand_pose": pose, "joints_W": (len(names.keypoints), 3),
               "goal_contacts": (len(names.parts),)}  # fmt: skip
@@ -57,12 +57,12 @@ def _shapes(names: HandNames) -> dict[str, tuple[int, ...]]:
 def write_native(
     path: Path, labels: list[GraspLabel], provenance: str | dict[str, Any], licence: str, names: HandNames
 ) -> None:
-    """Write `labels`, all of one hand, with where they come from and under which licence they stand.
+    """Write `labels`, all of one hand, with their provenance and their licence.
 
     names: the hand's joints, parts and key points (`HandLayout.names`).
 
-    The file is replaced in one step and its bytes depend on the content alone. Raises `DataError` for no
-    labels, labels of several hands, and everything that `read_native` would refuse.
+    The file is replaced in one step, and its bytes depend on the content alone. Raises `DataError` for no labels,
+    labels of several hands, and everything that `read_native` would refuse.
     """
     path = Path(path)
     hands = sorted({label.hand for label in labels})
@@ -108,12 +108,12 @@ def write_native(
 
 
 def read_native(path: Path) -> list[GraspLabel]:
-    """The labels of a file of this format. Raises `DataError` naming the file, and the label where one is bad."""
+    """Read the labels of a file of this format. Raises `DataError` naming the file, and the label if one is bad."""
     return read_native_with_meta(path)[0]
 
 
 def read_native_with_meta(path: Path) -> tuple[list[GraspLabel], dict[str, Any]]:
-    """The labels and the file's description: hand, licence, provenance, units, tables of names (`names_of`)."""
+    """Read the labels and the file's description: hand, licence, provenance, units, tables of names (`names_of`)."""
     path = Path(path)
     members = _unpack(path)
     meta = _meta(path, members.pop("meta"))
@@ -132,16 +132,16 @@ def read_native_with_meta(path: Path) -> tuple[list[GraspLabel], dict[str, Any]]
 
 
 def _unpack(path: Path) -> Arrays:
-    """All members as arrays; sizes are known to be small and true before anything is unpacked."""
+    """All members as arrays. Before anything is unpacked, sizes are checked to be small and as stated."""
     expected = {f"{name}.npy" for name in ("meta", *_KINDS)}
     with open_npz(path, "label file", MAX_BYTES) as archive:
         names = archive.names
-        # The schema is read first: a newer file may well have other members.
+        # The schema is read first, because a newer file may have other members.
         if names.count("meta.npy") == 1:
             _meta(path, archive.read("meta", "U"))
         if set(names) != expected or len(names) != len(expected):
             lacking, extra = sorted(expected - set(names)), sorted(set(names) - expected)
-            raise DataError(f"{path}: lacks {', '.join(lacking) or 'nothing'}, has besides "
+            raise DataError(f"{path}: lacks {', '.join(lacking) or 'nothing'}, also has "
                             f"{', '.join(extra)[:200] or 'nothing'}; expected the members of a label file of "
                             f"schema {SCHEMA}; write it anew with `dgrasp labels`")
         kinds = {"meta": "U", **{name: np.dtype(dtype).kind for name, dtype in _KINDS.items()}}
@@ -149,7 +149,7 @@ def _unpack(path: Path) -> Arrays:
 
 
 def _meta(path: Path, text: Array) -> dict[str, Any]:
-    """The checked description."""
+    """Parse and check the description."""
     try:
         meta = json.loads(str(text[()])) if text.shape == () else None
     except (ValueError, RecursionError):
@@ -190,12 +190,12 @@ def names_of(meta: dict[str, Any]) -> HandNames:
 
 
 def _is_line(value: Any) -> bool:
-    """Whether `value` is a line that may be printed: no control characters, not too long."""
+    """Whether `value` is one printable line of text: no control characters, not too long."""
     return isinstance(value, str) and 0 < len(value) <= 500 and value.isprintable()
 
 
 def _check(path: Path, meta: dict[str, Any], arrays: Arrays) -> None:
-    """Shapes and values of all arrays, in one place for reading and writing."""
+    """Check shapes and values of all arrays, for reading and writing alike."""
     strange = [name for name in meta["objects"] if not _NAME.fullmatch(name)]
     if strange:
         raise DataError(f"{path}: object name {strange[0][:60]!r}; expected letters, digits and _ . + -")

@@ -8,7 +8,7 @@ A file is a joblib pickle: a dictionary from DexYCB object id to arrays with one
 - GraspTTA and ContactOpt: one static grasp of an object at the origin, `final_qpos`, `final_wpos` (n, 63),
   `final_obj` (n, 7), `final_contacts`; neither a start nor a table.
 
-The order of the objects in the file is kept: results are reported in it.
+The order of the objects in the file is kept, because results are reported in it.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ _PALM_TOLERANCE = 0.005
 
 
 def read_official(path: Path) -> list[GraspLabel]:
-    """The labels of one published file, in the file's order; `index` counts within the object.
+    """Read the labels of one published file, in the file's order; `index` counts within the object.
 
     Raises `DataError` naming file, object and index for a damaged file or a label that cannot be used:
     missing keys, wrong shapes, NaN, quaternions off unit length by more than 1e-3, wrong units, contacts
@@ -63,7 +63,7 @@ def _object_name(path: Path, key: Any) -> str:
 
 
 def _shown(key: Any) -> str:
-    """A dictionary key for a message: short, whatever the file holds."""
+    """A dictionary key as a short text for a message, whatever the file holds."""
     return "a huge number" if isinstance(key, int) and abs(key) > 10**9 else reprlib.repr(key)
 
 
@@ -128,7 +128,7 @@ def _hand(rows: Array, name: str, where: checks.Where) -> tuple[Array, Array]:
 
 
 def _check_redundant(arrays: dict[str, Any], key: int, qpos: Array, place: str, where: checks.Where) -> None:
-    """What the files hold twice must agree: the pose, and the object's index (its id minus 1)."""
+    """Check that values which the files hold twice agree: the pose, and the object's index (its id minus 1)."""
     if "final_pose" in arrays:
         pose = checks.as_rows(arrays["final_pose"], "final_pose", (48,), place)
         if len(pose) != len(qpos):
@@ -136,7 +136,7 @@ def _check_redundant(arrays: dict[str, Any], key: int, qpos: Array, place: str, 
         checks.check_finite(pose, "final_pose", where)
         with np.errstate(invalid="ignore"):
             agree = (np.abs(pose - qpos[:, 3:]) <= 1e-3).all(axis=1)
-        # A NaN in final_qpos is reported as such a moment later.
+        # A NaN in final_qpos is reported as such by a later check.
         agree |= ~np.isfinite(qpos).all(axis=1)
         checks.require(agree, where, "final_pose differs from the angles of final_qpos; expected the same pose",
                        "get the file again")
@@ -149,7 +149,7 @@ def _check_redundant(arrays: dict[str, Any], key: int, qpos: Array, place: str, 
 
 
 def _check_palm(path: Path, labels: list[GraspLabel]) -> None:
-    """One hand made all labels, so the knuckles lie at the same place of every wrist frame.
+    """Check that the knuckles lie at the same place in every wrist frame, because one hand made all labels.
 
     This finds a wrist rotation in another convention, or key points in another frame or order.
     """

@@ -1,4 +1,4 @@
-"""What may be wrong with a label, in numbers: limits, penetration, distance, frames, table, weight, duplicates."""
+"""Measure what may be wrong with labels: limits, penetration, distance, frames, table, weight, duplicates."""
 
 from __future__ import annotations
 
@@ -18,32 +18,33 @@ from dgrasp.scene.scene import TABLE_SIZE, TABLE_TOP, TABLE_XY
 from dgrasp.types import Array, GraspLabel
 
 LIMIT_DEG = 15.0
-"""Degrees by which a joint may lie beyond its limit before it is called a problem."""
+"""Degrees by which a joint may lie beyond its limit before it counts as a problem."""
 DEEP_CM3 = 10.0
-"""cm^3 of penetration that are a problem (the recorded labels of the paper have 4.6 on average)."""
+"""cm^3. More penetration is a problem (the recorded labels of the paper have 4.6 on average)."""
 OFF_MM = 2.0
-"""mm between key points and those that the hand has in the label's pose."""
+"""mm by which a label's key points may differ from those of the hand in the label's pose."""
 TABLE_MM = 10.0
 """mm by which the object may lie under or over the table's top."""
 SUNK_MM = 20.0
-"""mm by which the hand may be under the table where the object is at its start: some grasp what was lifted before."""
+"""mm by which the hand may be under the table, with the object at its start: some grasp an object already lifted."""
 SAME_M, SAME_RAD = 0.001, 0.0175
 """Labels whose wrists (in the object's frame) and angles agree to this much are duplicates."""
 _SEARCH = 0.5
-"""m. Distances beyond it are not told apart."""
+"""m. Larger distances are not distinguished."""
 
 
 @dataclass(frozen=True, eq=False)
 class Finding:
     """The figures of one label.
 
-    beyond_limits: joint angles outside the hand's limits; limit_excess_deg: the worst of them. penetration_cm3: None
-    where the hand's surface cannot be closed. distance_mm: between hand and object, 0 where they meet. contacts: goal
-    contacts. off_mm: key points against the hand. table_mm: height of the object's lowest point over the table at the
-    start (at the grasp where there is no start), None for labels without a table; under_mm: how far it is below the
-    table at the grasp. sunk_mm: how far the hand's lowest key point would be below the table if it grasped the object
-    at its start. carries: whether what the hand touches can balance the object's weight (`Carrying`). duplicate_of: an
-    earlier label. beside: whether the object starts beside the table, not over it.
+    beyond_limits: number of joint angles outside the hand's limits; limit_excess_deg: the largest excess.
+    penetration_cm3: None if the hand's surface cannot be closed. distance_mm: between hand and object, 0 if they meet.
+    contacts: number of goal contacts. off_mm: largest distance of the key points from the hand's. table_mm: height of
+    the object's lowest point over the table at the start (at the grasp if there is no start), None for labels without a
+    table; under_mm: how far it is below the table at the grasp. sunk_mm: how far the hand's lowest key point would be
+    below the table if it grasped the object at its start. carries: whether the hand's contacts can balance the object's
+    weight (`Carrying`). duplicate_of: an earlier label that this one repeats. beside: whether the object starts beside
+    the table, not over it.
     """
 
     label: GraspLabel
@@ -62,7 +63,7 @@ class Finding:
 
     @property
     def problems(self) -> list[str]:
-        """What is wrong, in words; empty for a sound label."""
+        """The label's problems in words; empty for a sound label."""
         found = []
         if self.off_mm > OFF_MM:
             found.append(f"key points {self.off_mm:.1f} mm from the hand's")
@@ -92,7 +93,7 @@ class Finding:
 
     @property
     def badness(self) -> float:
-        """Each figure over the size at which it is a problem, summed: what is worst comes first."""
+        """The sum of all figures, each divided by the size at which it is a problem; higher is worse."""
         table = max(abs(self.table_mm or 0.0), self.under_mm)
         return (self.off_mm / OFF_MM + (self.penetration_cm3 or 0.0) / DEEP_CM3
                 + self.distance_mm / (1000.0 * CONTACT_DISTANCE) + self.limit_excess_deg / LIMIT_DEG
@@ -107,9 +108,9 @@ def measure_labels(
 ) -> list[Finding]:
     """The findings of all labels, in their order.
 
-    objects: each object's surface in its frame. simulated: the vertices of its collision shapes there, where they
-    differ from the surface: what stands on the table. Without `carrying` all of them are taken to carry their objects,
-    as are those without a table: which way is down is not known of them.
+    objects: each object's surface in its frame. simulated: the vertices of each object's collision shapes, which stand
+    on the table, in its frame; None if they are those of the surface. Without `carrying`, all labels are taken to carry
+    their objects. So are labels without a table, because the direction of gravity is unknown for them.
     """
     same = duplicates(labels)
     return [
@@ -148,7 +149,7 @@ def _over_table(points: Array) -> bool:
 
 
 def _sunk(label: GraspLabel) -> float:
-    """mm from the table's top down to the lowest key point of the hand that grasps the object at its start."""
+    """mm from the table's top down to the lowest key point of the hand, if it grasps the object at its start."""
     if label.start is None:
         return 0.0
     moved = label.start.T_WO @ np.linalg.inv(label.T_WO)
@@ -181,7 +182,7 @@ def _distance(pieces: Sequence[Body], target: Body) -> float:
 
 
 def duplicates(labels: Sequence[GraspLabel]) -> dict[int, str]:
-    """For each label that repeats an earlier one of its object, by its place, the earlier one's name."""
+    """The labels that repeat an earlier one of the same object: index -> the earlier label's name."""
     from scipy.spatial import cKDTree
 
     found: dict[int, str] = {}
@@ -194,6 +195,6 @@ def duplicates(labels: Sequence[GraspLabel]) -> dict[int, str]:
 
 
 def _features(label: GraspLabel) -> Array:
-    """(12 + J,): wrist in the object's frame and angles, in units of what is still the same."""
+    """(12 + J,): wrist in the object's frame and angles, in units of `SAME_M` and `SAME_RAD`."""
     T_OH = np.linalg.inv(label.T_WO) @ label.T_WH
     return np.concatenate([T_OH[:3, 3] / SAME_M, T_OH[:3, :3].ravel() / SAME_RAD, label.hand_pose / SAME_RAD])

@@ -1,4 +1,4 @@
-"""Whether a recorded grasp could carry its object: what touches too little of it, or at the wrong end, cannot."""
+"""Test whether a recorded grasp could carry its object: one that touches too little of it, or the wrong end, cannot."""
 
 from __future__ import annotations
 
@@ -15,14 +15,17 @@ from dgrasp.hand.spheres import HandSpheres
 from dgrasp.types import Array, GraspLabel
 
 REACH = 0.010
-"""m by which a hand may still close: no recorded one touches the object everywhere that it holds it."""
+"""m by which a hand may still close: no recorded hand touches the object everywhere that it holds it."""
 _SAMPLES = 8000
 _CONTACTS = 200
-"""Of them, evenly drawn, that the friction cones are laid at."""
+"""Most samples near the hand, evenly drawn, at which friction cones are placed."""
 
 
 class Carrying:
-    """The weight test of labels on one hand. objects: surfaces in their frames; centers: (3,) of mass, there."""
+    """The weight test of one hand's labels.
+
+    objects: surfaces, each in the object's frame. centers: (3,) m, centres of mass in the same frames.
+    """
 
     def __init__(self, hand: HandModel, objects: Mapping[str, Body], centers: Mapping[str, Array]) -> None:
         self._hand, self._spheres = hand, HandSpheres.of_hand(hand)
@@ -31,7 +34,7 @@ class Carrying:
         self._surfaces = {name: _samples(body) for name, body in objects.items()}
 
     def carries(self, label: GraspLabel) -> bool:
-        """Whether forces where the hand is within `REACH` of the object, or inside, can balance its weight."""
+        """Whether forces where the hand is inside the object, or within `REACH` of it, can balance its weight."""
         points, normals = self._surfaces[label.object_id]
         R, t = self._hand.part_poses(label.T_WH[None], label.hand_pose[None])
         centers_O, cores_O = (
@@ -39,7 +42,7 @@ class Carrying:
             for places in (self._spheres.place(R, t), self._cores.place(R, t))
         )
         gaps, nearest = _gaps(points, centers_O, self._spheres.radii)
-        # A finger outside of a thin wall does not touch the wall's inner side.
+        # A finger outside a thin wall does not touch the wall's inner side.
         facing = np.einsum("pi,pi->p", cores_O[nearest] - points, normals) > 0.0
         near = np.flatnonzero(self._pressed(points, centers_O, gaps) | (facing & (gaps < REACH)))
         near = near[np.linspace(0, len(near) - 1, min(len(near), _CONTACTS)).astype(int)]
@@ -49,10 +52,10 @@ class Carrying:
 
 
     def _pressed(self, points: Array, centers_O: Array, gaps: Array) -> Array:
-        """(P,) bool: which points of the surface are inside of the hand."""
+        """(P,) bool: the points of the surface that are inside the hand."""
         inside = gaps < 0.0
         for part in np.unique(self._spheres.parts):
-            # The points of boxes and hulls have no radius, but what is between them is the hand too.
+            # The points of boxes and hulls have no radius, but the space between them is part of the hand.
             own = centers_O[(self._spheres.parts == part) & (self._spheres.radii == 0.0)]
             if len(own) > 3:
                 inside |= inside_hull(own, points)
@@ -60,8 +63,8 @@ class Carrying:
 
 
 def _samples(body: Body) -> tuple[Array, Array]:
-    """Points all over the surface, (P, 3), and its outward normals there."""
-    import trimesh  # Late: it takes a second.
+    """Points (P, 3) all over the surface, and its outward normals (P, 3) there."""
+    import trimesh  # Imported late: it takes a second.
 
     vertices, faces = body.surface()
     mesh = trimesh.Trimesh(vertices, faces, process=False)
@@ -70,7 +73,7 @@ def _samples(body: Body) -> tuple[Array, Array]:
 
 
 def _cores(spheres: HandSpheres) -> HandSpheres:
-    """For each sphere the middle of what it is part of: its own, or for points of a box or hull their part's."""
+    """Spheres moved to the middle of their shapes: points of boxes and hulls to the mean of those of their part."""
     centers = spheres.centers.copy()
     for part in np.unique(spheres.parts):
         own = (spheres.parts == part) & (spheres.radii == 0.0)
@@ -80,7 +83,7 @@ def _cores(spheres: HandSpheres) -> HandSpheres:
 
 
 def _gaps(points: Array, centers: Array, radii: Array) -> tuple[Array, Array]:
-    """(P,) m from points to the nearest of spheres, negative inside one, and (P,) which that is; inf beyond `REACH`."""
+    """(P,) m from points to the nearest sphere, negative inside it, inf beyond `REACH`; and (P,) the sphere's index."""
     from scipy.spatial import cKDTree
 
     gaps, nearest = np.full(len(points), np.inf), np.zeros(len(points), int)

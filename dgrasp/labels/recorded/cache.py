@@ -1,4 +1,4 @@
-"""Labels that were made before, kept by all that they depend on."""
+"""A cache of labels, keyed by everything that they depend on."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ MAX_BYTES = 200_000
 
 
 class LabelCache:
-    """A folder of one small JSON file per label, or per reason why there is none; nothing in it is ever needed."""
+    """A folder of one small JSON file per label, or per reason why there is none. Its files may be deleted."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = Path(folder)
@@ -29,7 +29,7 @@ class LabelCache:
         return self.folder / f"{hashlib.sha256(json.dumps(key, sort_keys=True).encode()).hexdigest()}.json"
 
     def get(self, key: dict[str, Any]) -> GraspLabel | Skip | None:
-        """What was put there under this key; None where nothing was, or where the file is damaged."""
+        """The label or reason stored under this key; None if there is none or the file is damaged."""
         try:
             path = self._path(key)
             if path.stat().st_size > MAX_BYTES:
@@ -42,7 +42,7 @@ class LabelCache:
             return None
 
     def put(self, key: dict[str, Any], value: GraspLabel | Skip) -> None:
-        """Keep a label or a reason; a folder that cannot be written is passed over."""
+        """Store a label or a reason. A folder that cannot be written is ignored."""
         if isinstance(value, Skip):
             content: dict[str, Any] = {"skip": value.reason, "detail": value.detail}
         else:
@@ -55,7 +55,7 @@ _SHAPES = {"hand_pose": (45,), "T_WH": (4, 4), "T_WO": (4, 4), "joints_W": (21, 
 
 
 def _label(content: dict[str, Any]) -> GraspLabel:
-    """The label of a file's content; raises for anything that is not one."""
+    """The label in a file's content. Raises for anything that is not a label."""
     start = content["start"]
     contacts = np.array(content["goal_contacts"])
     if contacts.shape != (16,) or contacts.dtype != bool:

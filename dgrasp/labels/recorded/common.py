@@ -1,4 +1,4 @@
-"""What the commands `dgrasp labels import ...` share: options, the progress bar, the summary, the file."""
+"""The shared code of the commands `dgrasp labels import ...`: options, progress bar, summary, writing the file."""
 
 from __future__ import annotations
 
@@ -27,19 +27,19 @@ _T = TypeVar("_T")
 
 
 def add_common(parser: argparse.ArgumentParser, objects: str) -> None:
-    """The options of all kinds. objects: what `--objects` is for without it."""
+    """Add the options of all kinds of import. objects: remark in the help of `--objects`, such as its default."""
     parser.add_argument("--mano", type=Path, required=True, metavar="FILE",
-                        help="MANO_RIGHT.pkl, with which the source's hands were fitted")
+                        help="MANO_RIGHT.pkl, the model with which the source's hands were fitted")
     parser.add_argument("--hand", required=True, metavar="HAND",
-                        help="the hand that the labels are made for: a folder of `dgrasp hand build`, or a release's "
-                             "hand/mano_mean.urdf")
+                        help="the hand for which labels are made: a folder written by `dgrasp hand build`, or a "
+                             "release's hand/mano_mean.urdf")
     parser.add_argument("--out", type=Path, required=True, metavar="FILE.npz", help="the label file to write")
     parser.add_argument("--objects", type=Path, metavar="DIR",
                         help=f"folder of NAME/textured_simple.obj or NAME/textured_meshlab.obj ({objects})")
 
 
 def make_maker(arguments: argparse.Namespace, folders: list[Path]) -> LabelMaker:
-    """The maker that the options describe; folders: where meshes are without `--objects`."""
+    """The label maker that the options describe. folders: where meshes are looked for without `--objects`."""
     out = arguments.out
     if out.suffix != ".npz" or not out.parent.is_dir():
         raise DataError(f"--out {out}: expected the name of a .npz file in a folder that exists")
@@ -58,9 +58,9 @@ def finish(
     arguments: argparse.Namespace, labels: list[GraspLabel], skipped: dict[str, tuple[str, str]],
     provenance: dict[str, Any], licence: str,
 ) -> int:
-    """Print what was skipped and why, write the file, print what it holds; returns the exit code.
+    """Print what was skipped and why, write the file, and print what it holds. Returns the exit code.
 
-    skipped: per place its reason and a detail. The file's description holds provenance and reasons.
+    skipped: place -> reason and detail. The file's description holds provenance and reasons.
     """
     for line in summary(skipped):
         print(line)
@@ -79,7 +79,7 @@ def finish(
 
 
 def summary(skipped: dict[str, tuple[str, str]]) -> list[str]:
-    """One line per reason, most frequent first, with a few examples of what was skipped for it."""
+    """One line per reason, most frequent first, with a few examples of skipped places."""
     lines = []
     for reason, count in Counter(reason for reason, _ in skipped.values()).most_common():
         places = [(place, detail) for place, (why, detail) in skipped.items() if why == reason]

@@ -1,6 +1,6 @@
-"""What the numbers of a table of MANO parameters mean, where data sets differ: given, implied, or found by key points.
+"""The meaning of a table of MANO parameters where data sets differ: given, implied by the data, or found by key points.
 
-Nothing is assumed: what neither the user says nor the data shows is an error that names the option.
+Nothing is assumed. A question that neither the user nor the data answers is an error that names the option.
 """
 
 from __future__ import annotations
@@ -28,16 +28,16 @@ CHOICES: dict[str, tuple[str, ...]] = {
 }
 """The open questions, each an option of that name, and their answers.
 
-pose: PCA coefficients or rotation vectors. mean: they count from the flat hand or from MANO's mean pose. fingers:
-index, middle, little, ring, thumb, or index, middle, ring, little, thumb. transl: MANO's translation of the mesh, or
-the wrist's position. quaternion: the order of `object_rotation`'s four numbers.
+pose: PCA coefficients or rotation vectors. mean: whether they count from the flat hand or from MANO's mean pose.
+fingers: in the order index, middle, little, ring, thumb, or index, middle, ring, little, thumb. transl: MANO's
+translation of the mesh, or the wrist's position. quaternion: the order of `object_rotation`'s four numbers.
 """
 FITS = 0.002
-"""m. Key points this close to those that a reading of the table gives confirm it."""
+"""m. A reading of the table is confirmed if its key points lie this close to the given ones."""
 COMPARED = 50
-"""Most rows whose key points are compared."""
+"""Largest number of rows whose key points are compared."""
 SAME = 1e-6
-"""m. Readings whose key points differ by less are one."""
+"""m. Readings whose key points differ by less count as one."""
 _FROM_PROJECT = [FINGERS.index(finger) for finger in MANO_FINGERS]
 Answers = dict[str, str]
 
@@ -46,7 +46,7 @@ Answers = dict[str, str]
 class TableGrasps:
     """Grasps of a table in its own frame A: T_AH (n, 4, 4), hand_pose (n, 45), T_AO (n, 4, 4), betas (n, S).
 
-    answers: per question the answer and whether it was given, implied or found.
+    answers: for each question, the answer and whether it was given, implied or found.
     """
 
     T_AH: Array
@@ -57,10 +57,10 @@ class TableGrasps:
 
 
 def read_grasps(table: ManoTable, model: ManoModel, given: Answers, mean_shape: bool, at_origin: bool) -> TableGrasps:
-    """The table's grasps, with the answers `given` and those that the data implies or shows.
+    """The table's grasps, by the answers `given` and those that the data implies or shows.
 
-    mean_shape: the hands have MANO's mean shape and the table no betas. at_origin: the objects are at the origin and
-    the table has no poses of them. Raises `DataError` for what is missing, contradictory, or open.
+    mean_shape: the hands have MANO's mean shape and the table has no betas. at_origin: the objects are at the origin
+    and the table has no poses for them. Raises `DataError` for anything missing or contradictory, or an open question.
     """
     n = len(table)
     if mean_shape == ("betas" in table.values):
@@ -84,7 +84,7 @@ def read_grasps(table: ManoTable, model: ManoModel, given: Answers, mean_shape: 
 
 
 def _implied(table: ManoTable) -> Answers:
-    """What the shapes of the data leave no choice about."""
+    """The answers that follow from the shapes of the data."""
     pose = table.need("hand_pose", "give the finger pose")
     if pose.shape[1] < 45:
         return {"pose": "pca", "fingers": "mano"}
@@ -123,7 +123,7 @@ def _coordinates(
 
 
 def _choose(table: ManoTable, model: ManoModel, betas: Array, options: list[Answers]) -> tuple[Answers, str]:
-    """The one of the readings that is left, and how it was found."""
+    """The one reading that is left, and how it was found."""
     if not options:
         raise DataError(f"{table.path}: --pose pca and --fingers project contradict each other: PCA has MANO's order")
     if len(options) == 1 and "joints" not in table.values:
@@ -132,13 +132,13 @@ def _choose(table: ManoTable, model: ManoModel, betas: Array, options: list[Answ
     ask = ", ".join(f"--{q} {'|'.join(CHOICES[q])}" for q in unanswered)
     if "joints" not in table.values:
         raise DataError(f"{table.path}: the table does not say what its numbers mean; give {ask}; or add the key "
-                        "points as `joints`, by which it is found")
+                        "points as `joints`, which show it")
     rows = np.linspace(0, len(table) - 1, min(len(table), COMPARED)).astype(int)
     given = table.values["joints"].reshape(len(table), -1, 3)[rows]
     errors, points = [], []
     for answers in options:
         points.append(hand_vertices(model, betas[rows], *_coordinates(table, model, betas, answers, rows))[1])
-        # In whatever order the file has them: the tips, which data sets define differently, are left out.
+        # The file may have any order of key points. Tips are left out, because data sets define them differently.
         joints = points[-1][:, [k for k in range(21) if k % 4 or k == 0]]
         gaps = np.linalg.norm(joints[:, :, None] - given[:, None], axis=3).min(axis=2)
         errors.append(float(gaps.max()))
@@ -173,7 +173,7 @@ def _objects(table: ManoTable, at_origin: bool, given: Answers) -> Array:
         R = Rotation.from_rotvec(rotation).as_matrix()
     elif rotation.shape[1] == 4:
         if "quaternion" not in given:
-            raise DataError(f"{table.path}: object_rotation has four numbers, in an order that it does not say; give "
+            raise DataError(f"{table.path}: object_rotation has four numbers, whose order the table does not say; give "
                             "--quaternion wxyz|xyzw")
         order = [0, 1, 2, 3] if given["quaternion"] == "wxyz" else [3, 0, 1, 2]
         rows = np.concatenate([np.zeros((len(table), 3)), rotation[:, order]], axis=1)

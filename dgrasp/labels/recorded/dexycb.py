@@ -1,4 +1,4 @@
-"""DexYCB as it lies on disk: sequences of a hand that takes one of the objects from a table.
+"""Read DexYCB's files: sequences of a hand that takes one of the objects from a table.
 
 `<subject>/<sequence>/meta.yml` and `pose.npz`, `calibration/extrinsics_<id>/extrinsics.yml`,
 `calibration/mano_<id>/mano.yml`. Poses are in the frame of the master camera, in metres. A tag lies on the table.
@@ -30,7 +30,7 @@ MAX_POSE_BYTES = 16 * 2**20
 """Largest pose.npz (72 frames have some tens of kilobytes)."""
 MAX_FRAMES, MAX_OBJECTS = 10_000, 21
 LEAST_HEIGHT = 0.1
-"""m. The middle one of the cameras is at least this far from the table's plane."""
+"""m. The cameras' median distance from the table's plane must be at least this."""
 _ID = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,99}")
 _FLIP = np.diag([1.0, -1.0, -1.0])
 _T = TypeVar("_T")
@@ -40,7 +40,7 @@ _T = TypeVar("_T")
 class Sequence:
     """One recording: its name "subject/sequence", folder, the grasped object's DexYCB id and place in `pose_y`.
 
-    side: "right" or "left". frames: how many. objects: how many. extrinsics, mano: ids of the calibrations.
+    side: "right" or "left". frames, objects: how many there are. extrinsics, mano: ids of the calibrations.
     """
 
     name: str
@@ -58,8 +58,8 @@ class Sequence:
 class Track:
     """The poses of a sequence, camera frame C.
 
-    hand (F, 51): rotation vector, 45 PCA coefficients, translation. hand_seen, object_seen (F,) bool: annotated.
-    T_CO (F, 4, 4): the grasped object; the identity where it is not annotated.
+    hand (F, 51): rotation vector, 45 PCA coefficients, translation. hand_seen, object_seen (F,) bool: whether they are
+    annotated. T_CO (F, 4, 4): the grasped object; the identity where it is not annotated.
     """
 
     hand: Array
@@ -68,14 +68,14 @@ class Track:
     object_seen: Array
 
     def wrists(self, model: ManoModel, betas: Array) -> tuple[Array, Array]:
-        """Wrists T_CH (F, 4, 4) and finger angles (F, 45) of the shape betas (S,)."""
+        """Wrists T_CH (F, 4, 4) and finger angles (F, 45) for the shape betas (S,)."""
         pose = from_pca(model, self.hand[:, 3:48], flat_hand_mean=False)
         params = ManoParams(self.hand[:, :3], pose, self.hand[:, 48:], np.tile(betas, (len(self.hand), 1)))
         return params.coordinates(model)
 
 
 def find_sequences(root: Path) -> list[Path]:
-    """The folders of all sequences, sorted; a `DataError` where `root` holds none."""
+    """The folders of all sequences, sorted. Raises `DataError` if `root` holds none."""
     root = Path(root)
     found = sorted(path.parent for path in root.glob("*/*/meta.yml")) if root.is_dir() else []
     if not found:
@@ -85,7 +85,7 @@ def find_sequences(root: Path) -> list[Path]:
 
 
 def read_sequence(folder: Path) -> Sequence:
-    """What `meta.yml` says of a sequence. Raises `DataError` naming the file for anything that does not fit."""
+    """Read a sequence's `meta.yml`. Raises `DataError` naming the file for anything that does not fit."""
     path = folder / "meta.yml"
     meta = read_yaml(path)
     fields: list[Any] = [meta.get(key) for key in ("ycb_ids", "ycb_grasp_ind", "num_frames")]
@@ -114,7 +114,7 @@ def _is_count(value: Any) -> bool:
 
 
 def read_track(sequence: Sequence) -> Track:
-    """The poses of a sequence. Raises `DataError` for shapes, values or units that do not fit."""
+    """Read the poses of a sequence. Raises `DataError` for shapes, values or units that do not fit."""
     path = sequence.folder / "pose.npz"
     with open_npz(path, "pose file", MAX_POSE_BYTES) as archive:
         hand, objects = (archive.read(name, "f").astype(np.float64) for name in ("pose_m", "pose_y"))
@@ -126,7 +126,7 @@ def read_track(sequence: Sequence) -> Track:
             raise DataError(f"{path}: {name} holds NaN or infinity; get the file again")
     hand, pose = hand[:, 0], objects[:, sequence.place]
     hand_seen = (hand != 0.0).any(axis=1)
-    # Not annotated is the identity: no turn, no shift.
+    # An object that is not annotated has the identity: no turn, no shift.
     object_seen = (pose[:, [0, 1, 2, 4, 5, 6]] != 0.0).any(axis=1)
     rows = np.where(object_seen[:, None], pose, [0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
 
@@ -144,7 +144,7 @@ def read_track(sequence: Sequence) -> Track:
 
 @dataclass
 class Calibration:
-    """The calibrations below `root`, each read once. flipped: ids of the tags whose z pointed into the table."""
+    """The calibrations below `root`, each read once. flipped: ids of extrinsics whose tag's z points into the table."""
 
     root: Path
     flipped: set[str] = field(default_factory=set)
@@ -158,7 +158,7 @@ class Calibration:
     def world(self, extrinsics: str) -> Array:
         """T_WC (4, 4): the camera frame in a world whose z is up and whose table top is at z = 0.5 m.
 
-        x and y are the tag's. A tag that faces down, seen by cameras on its side of negative z, is turned about x.
+        x and y are the tag's. A tag faces down if the cameras are on its side of negative z; it is then turned about x.
         """
         path = self.root / "calibration" / f"extrinsics_{extrinsics}" / "extrinsics.yml"
         return self._once(path, lambda: self._read_world(path, extrinsics))
@@ -181,7 +181,7 @@ class Calibration:
         return transform(R, np.array([0.0, 0.0, TABLE_TOP]) - R @ T_CT[:3, 3])
 
     def _once(self, path: Path, read: Callable[[], _T]) -> _T:
-        """What `read` gives or raises, remembered: hundreds of sequences share a calibration."""
+        """The cached result or error of `read`: hundreds of sequences share a calibration."""
         key = str(path)
         if key not in self._known:
             try:
@@ -195,7 +195,7 @@ class Calibration:
 
 
 def _rigid(value: Any, where: str) -> Array:
-    """(4, 4) of 12 numbers, 3 x 4 row by row; its rotation, written with few digits, made exact."""
+    """(4, 4) from 12 numbers, 3 x 4 row by row. The rotation, written with few digits, is made exact."""
     rows = numbers(value, range(12, 13), where).reshape(3, 4)
     R = rows[:, :3]
     if np.abs(R @ R.T - np.eye(3)).max() > 1e-3 or np.linalg.det(R) < 0.0:

@@ -1,7 +1,7 @@
 """Grasp labels from DexYCB's recordings (paper, section 4.1, "Data").
 
 The grasp is the first frame in which the object has moved by more than a threshold from where it lay. The approach
-starts where the wrist comes within a set distance of the object for good.
+starts at the frame from which on the wrist stays within a set distance of the object.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ DISPLACEMENT = 0.01
 START_DISTANCE = 0.20
 """m between wrist and object at the start; in the labels that the authors published it is 0.18 to 0.20."""
 APPROACH = 0.05
-"""m that the wrist approaches in grasps of large objects, whose origin is beyond the start's distance anyhow."""
+"""m that the wrist approaches in grasps of large objects, whose origin is beyond the start's distance at the grasp."""
 FAR = 0.4
 """m. A wrist farther from the object's origin than this does not grasp it."""
 TRAIN_SHARE = 0.75
@@ -44,10 +44,11 @@ LEFT, DAMAGED = "left hand", "damaged or missing file"
 
 @dataclass(frozen=True)
 class Options:
-    """What to take and how.
+    """The options of an import.
 
-    displacement, start_distance: m. split: which share of the sequences. seed: of the split. left: MANO's left hand,
-    with which left-handed sequences are read and then mirrored; None leaves them out. left_sha256: of its file.
+    displacement, start_distance: m. split: the share of the sequences to take. seed: of the split. left: MANO's left
+    hand, with which left-handed sequences are read before they are mirrored; None leaves them out. left_sha256: of its
+    file.
     """
 
     displacement: float = DISPLACEMENT
@@ -60,11 +61,11 @@ class Options:
 
 @dataclass(frozen=True)
 class Imported:
-    """What a data set gave.
+    """The result of an import.
 
-    labels: numbered. skipped: per sequence the reason and the detail. sequences: all that were looked at.
-    in_split: how many of them belong to the split. cached: labels and reasons that came from the cache. flipped: tags
-    whose z pointed into the table.
+    labels: numbered within each object. skipped: sequence -> reason and detail. sequences: how many were found.
+    in_split: how many of them belong to the split. cached: how many labels and reasons came from the cache. flipped:
+    how many extrinsics have a tag whose z points into the table.
     """
 
     labels: list[GraspLabel]
@@ -81,9 +82,10 @@ class Imported:
 
 
 def find_frames(track: Track, wrists: Array, displacement: float, distance: float) -> tuple[int, int | None]:
-    """Indices of the grasp's frame, and of the start's; None where the hand was first seen nearer than `distance`.
+    """Frame indices of the grasp and of the start of the approach.
 
-    wrists (F, 3), camera frame. Raises `Skip`.
+    The start is None if the hand was first seen nearer than `distance`, or if it would be the grasp itself.
+    wrists (F, 3) m, camera frame. Raises `Skip` if the sequence gives no grasp.
     """
     seen = np.flatnonzero(track.object_seen)
     if not seen.size:
@@ -101,7 +103,7 @@ def find_frames(track: Track, wrists: Array, displacement: float, distance: floa
     apart = np.linalg.norm(wrists[both] - place[both], axis=1)
     if apart[-1] > FAR:
         raise Skip("wrist far from the object at the grasp")
-    # A large object's origin may be farther from the wrist than that even when it is grasped.
+    # A large object's origin may be farther from the wrist than `distance` even when it is grasped.
     far = apart > (distance if apart[-1] < distance else apart[-1] + APPROACH)
     last_far = np.flatnonzero(far)
     start = int(both[last_far[-1] + 1]) if last_far.size else None
@@ -109,7 +111,7 @@ def find_frames(track: Track, wrists: Array, displacement: float, distance: floa
 
 
 def split_sequences(sequences: Iterable[Sequence], split: str, seed: int) -> set[str]:
-    """The names of a split's sequences: 75% train and 25% test, drawn anew in each subject, the same for each seed."""
+    """The names of a split's sequences: 75% train and 25% test of each subject. The same seed gives the same split."""
     rng = np.random.default_rng(seed)
     ordered: list[str] = []
     names = sorted(sequence.name for sequence in sequences)
@@ -118,7 +120,7 @@ def split_sequences(sequences: Iterable[Sequence], split: str, seed: int) -> set
         ordered += [own[i] for i in rng.permutation(len(own))]
     if split == "all":
         return set(ordered)
-    # Of any run of sequences, and so of each subject, the share is met to within one.
+    # In any run of sequences, and so for each subject, the share is met to within one.
     train = {name for k, name in enumerate(ordered) if int(TRAIN_SHARE * (k + 1)) > int(TRAIN_SHARE * k)}
     return train if split == "train" else set(ordered) - train
 
@@ -127,9 +129,9 @@ def import_dexycb(
     root: Path, maker: LabelMaker, mano_sha256: str, options: Options, cache: LabelCache,
     progress: Callable[[list[Path]], Iterable[Path]] = iter,
 ) -> Imported:
-    """Labels of the split's sequences below `root`; what gives none is listed with its reason.
+    """Labels of the split's sequences below `root`. Sequences that give no label are listed with the reason.
 
-    progress: wraps the list of the split's folders, to show how far it is.
+    progress: wraps the list of the split's folders, to show progress.
     """
     skipped: dict[str, tuple[str, str]] = {}
     sequences: dict[Path, Sequence] = {}
@@ -140,7 +142,7 @@ def import_dexycb(
         except DataError as error:
             skipped[f"{folder.parent.name}/{folder.name}"] = (DAMAGED, str(error))
     wanted: set[str] = set()
-    # Apart, so that the right hands' split does not depend on whether left ones are mirrored.
+    # Each side is split apart, so that the split of right hands does not depend on whether left ones are mirrored.
     for side in ("right", "left"):
         own = [sequence for sequence in sequences.values() if sequence.side == side]
         if side == "left" and options.left is None:
@@ -170,7 +172,7 @@ def import_dexycb(
 def _key(
     sequence: Sequence, calibration: Calibration, maker: LabelMaker, mano_sha256: str, options: Options
 ) -> dict[str, Any]:
-    """All that a sequence's label depends on."""
+    """Everything that a sequence's label depends on."""
     below = calibration.root / "calibration"
     files = [sequence.folder / "pose.npz", sequence.folder / "meta.yml",
              below / f"extrinsics_{sequence.extrinsics}" / "extrinsics.yml",
@@ -222,7 +224,7 @@ def _mirrored(label: GraspLabel, maker: LabelMaker) -> GraspLabel:
     axis, middle, off = maker.surfaces[label.object_id].mirror_plane()
     if off > MIRROR_TOLERANCE:
         raise Skip("object is not its own mirror image", f"{label.object_id}: off by {1000 * off:.1f} mm")
-    # Across x = c instead of x = 0: what is at x goes to 2 c - x.
+    # The mirror plane is x = c instead of x = 0: a point at x goes to 2 c - x.
     shift = np.zeros(3)
     shift[axis] = 2.0 * middle
     start = label.start

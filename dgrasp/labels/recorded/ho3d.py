@@ -1,8 +1,8 @@
-"""HO3D's annotations: one pickle per frame, `<split>/<sequence>/meta/<frame>.pkl`, of a hand that holds a YCB object.
+"""Read HO3D's annotations: one pickle per frame, `<split>/<sequence>/meta/<frame>.pkl`, of a hand with a YCB object.
 
 handPose (48,): rotation vectors of the wrist and the 15 finger joints from the flat hand, MANO's order. handTrans (3,):
-MANO's translation. handBeta (10,). objRot (3,), objTrans (3,), objName. The frame is the camera's as OpenGL has it (y
-up, z backwards); hand and object share it, so that their pose to each other does not depend on it.
+MANO's translation. handBeta (10,). objRot (3,), objTrans (3,), objName. The frame is the camera's in OpenGL's
+convention (y up, z backwards). Hand and object share it, so their relative pose does not depend on it.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from dgrasp.types import Array, GraspLabel
 from raisim_like.rotations import transform
 
 MAX_FILE_BYTES = 4 * 2**20
-"""Largest annotation that is read (they have some ten kilobytes)."""
+"""Largest annotation that is read (HO3D's have some ten kilobytes)."""
 _TEXT_OPCODES = ("INT", "LONG", "FLOAT", "STRING", "UNICODE", "LIST", "DICT", "PUT", "GET")
 
 
@@ -59,7 +59,7 @@ def find_frames(root: Path, every: int) -> list[Path]:
 
 
 def read_annotation(path: Path) -> Annotation:
-    """A frame's annotation. Raises `Skip` where hand or object is not annotated, `DataError` for a bad file."""
+    """Read a frame's annotation. Raises `Skip` if hand or object is not annotated, `DataError` for a bad file."""
     content = read_pickle(path, _Ho3dUnpickler, "HO3D annotation", MAX_FILE_BYTES, starts=b"\x80(}")
     if not isinstance(content, dict):
         raise DataError(f"{path}: holds a {type(content).__name__}; expected a dictionary; get the file again")
@@ -99,9 +99,9 @@ def _vector(value: Any, name: str, width: int, path: Path) -> Array:
 def import_ho3d(
     root: Path, maker: LabelMaker, every: int, progress: Callable[[list[Path]], Iterable[Path]] = iter
 ) -> tuple[list[GraspLabel], dict[str, tuple[str, str]]]:
-    """Labels of every `every`-th frame in which the hand touches the object, and what was skipped, with reasons.
+    """Labels of every `every`-th frame in which the hand touches the object, and the skipped frames with reasons.
 
-    The labels know no table and no approach. Their world is the object's frame, as for GraspTTA's and ContactOpt's.
+    The labels have no table and no approach. Their world is the object's frame, as for GraspTTA's and ContactOpt's.
     """
     labels, skipped = [], {}
     for path in progress(find_frames(root, every)):

@@ -1,4 +1,4 @@
-"""Labels made from recorded or computed hands: angles, wrist and contacts for one physics hand."""
+"""Make labels from recorded or computed hands: angles, wrist and contacts for one physics hand."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from dgrasp.types import Array, GraspLabel, StartPose
 
 @dataclass(frozen=True, eq=False)
 class LabelMaker:
-    """Makes labels for `hand` from hands that `model` skins. owner (V,): the part that each vertex moves with."""
+    """Makes labels for `hand` from hands that `model` skins."""
 
     hand: HandModel
     model: ManoModel
@@ -27,7 +27,7 @@ class LabelMaker:
 
     @property
     def owner(self) -> Array:
-        """(V,) index of the part with the largest skinning weight (supplement, section B.1)."""
+        """(V,) index of the part that each vertex moves with: the largest skinning weight (supplement, section B.1)."""
         return np.asarray(self.model.part_weights().argmax(axis=1))
 
     def contacts(self, model: ManoModel, betas: Array, T_OH: Array, hand_pose: Array, name: str) -> Array:
@@ -45,9 +45,9 @@ class LabelMaker:
 
 
 def target_hand(name: str, model: ManoModel) -> HandModel:
-    """The physics hand that labels are to be made for, which must be one of the model's side and joints.
+    """The physics hand for which labels are made. It must have the model's side and joints, else `DataError`.
 
-    name: a folder of `dgrasp hand build`, or the URDF of a release's hand (mean shape, right).
+    name: a folder written by `dgrasp hand build`, or the URDF of a release's hand (mean shape, right).
     """
     named = open_hand(name)
     side: Side = named.meta.get("side", "right")

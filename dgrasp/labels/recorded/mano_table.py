@@ -1,7 +1,7 @@
 """Tables of MANO parameters and object poses: a .npz with one array per quantity, or a .csv with one column per number.
 
-Arrays and columns are named alike: `transl` (n, 3) is `transl_0`, `transl_1`, `transl_2` in a .csv. What a column means
-where data sets differ is asked for or found out in `dgrasp.labels.recorded.conventions`.
+Arrays and columns are named alike: `transl` (n, 3) is `transl_0`, `transl_1`, `transl_2` in a .csv. Where data sets
+differ, `dgrasp.labels.recorded.conventions` asks for the meaning of a column or finds it.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ _FORM = "expected arrays or columns object, betas, global_orient, hand_pose, tra
 
 @dataclass(frozen=True, eq=False)
 class ManoTable:
-    """A table as it was read. values: quantity to (n, width) float64. objects (n,): names. n: rows."""
+    """A table of n rows as it was read. values: quantity -> (n, width) float64. objects (n,): names."""
 
     path: Path
     values: dict[str, Array]
@@ -47,14 +47,14 @@ class ManoTable:
         return len(self.objects)
 
     def need(self, name: str, remedy: str) -> Array:
-        """The quantity `name`; a `DataError` with a remedy where the table lacks it."""
+        """The quantity `name`. Raises `DataError` with a remedy if the table lacks it."""
         if name not in self.values:
             raise DataError(f"{self.path}: no {name}; it has {', '.join(self.values) or 'nothing'}; {remedy}")
         return self.values[name]
 
 
 def read_mano_table(path: Path, object_name: str | None = None) -> ManoTable:
-    """The table of a .npz or .csv file. object_name: of all rows where the file has no `object`.
+    """Read the table of a .npz or .csv file. object_name: of all rows, if the file has no `object`.
 
     Raises `DataError` naming the file and the quantity or line for anything that does not fit.
     """
@@ -75,7 +75,7 @@ def read_mano_table(path: Path, object_name: str | None = None) -> ManoTable:
                  "transl": params[:, 58:]}
         twice = sorted(set(parts) & set(values))
         if twice:
-            raise DataError(f"{path}: params and besides {', '.join(twice)}; expected each quantity once")
+            raise DataError(f"{path}: has params and also {', '.join(twice)}; expected each quantity once")
         values |= parts
     if names is None:
         if object_name is None:
@@ -120,7 +120,7 @@ def _read_npz(path: Path) -> tuple[dict[str, Array], list[str] | None]:
         for file in archive.names:
             name = file.removesuffix(".npy")
             if archive.names.count(file) > 1 or (name not in WIDTHS and name != "object") or name == file:
-                raise DataError(f"{path}: unknown or doubled member {file[:60]!r}; {_FORM}")
+                raise DataError(f"{path}: unknown or duplicate member {file[:60]!r}; {_FORM}")
             if name == "object":
                 array = archive.read(name, "Uiu")
                 if array.ndim != 1 or len(array) > MAX_ROWS or array.dtype.itemsize > 800:
@@ -166,14 +166,14 @@ def _read_csv(path: Path) -> tuple[dict[str, Array], list[str] | None]:
 
 
 def _columns(path: Path, header: list[str]) -> dict[str, list[int]]:
-    """The places of each quantity's columns, in the order of their numbers."""
+    """The indices of each quantity's columns, in the order of their numbers."""
     found: dict[str, dict[int, int]] = {}
     for place, cell in enumerate(header):
         match = _COLUMN.fullmatch(cell)
         if cell == "object" and header.count(cell) == 1:
             continue
         if match is None or match[1] not in WIDTHS or int(match[2]) in found.get(match[1], {}):
-            raise DataError(f"{path}: unknown or doubled column {cell[:60]!r}; {_FORM}, with numbers from 0, such as "
+            raise DataError(f"{path}: unknown or duplicate column {cell[:60]!r}; {_FORM}, with numbers from 0, such as "
                             "transl_0, transl_1, transl_2")
         found.setdefault(match[1], {})[int(match[2])] = place
     for name, places in found.items():

@@ -1,4 +1,4 @@
-"""A grasp seen in the mirror: labels of a right hand for a left one, and back."""
+"""Mirror images of labels: from a right hand to a left one, and back."""
 
 from __future__ import annotations
 
@@ -10,17 +10,17 @@ from dgrasp.hand.mano.model import MIRROR, MIRROR_ANGLES
 from dgrasp.types import Array, GraspLabel, StartPose
 
 MIRRORED = "_mirrored"
-"""Ending of the id of a mirrored hand whose own id is not given."""
+"""Suffix of a mirrored hand's id, if no id is given for it."""
 
 _WORLD = np.array([1.0, -1.0, 1.0])
-"""The world's mirror is the plane y = 0, in which the table is its own image."""
+"""Signs of the mirror image at the world's plane y = 0, in which the table is its own image."""
 _POSE = np.tile(MIRROR_ANGLES, 15)
 
 
 def mirror_label(label: GraspLabel, hand: str | None = None, object_axis: int = 0) -> GraspLabel:
     """The mirror image of a label at the world's plane y = 0, for the mirror image of its hand.
 
-    hand: id of that hand; by default the label's id with the ending "_mirrored", or without it where it has it.
+    hand: id of that hand; by default the id of the label's hand with "_mirrored" appended, or removed if it is there.
     object_axis: 0, 1 or 2, the axis x, y or z of the object's frame across which the object is its own mirror
     image. An object without such a plane becomes another object; its label then fits only a mirrored mesh.
     The hand is mirrored at x = 0 of its wrist frame, as MANO's hands are.
@@ -40,7 +40,7 @@ def mirror_label(label: GraspLabel, hand: str | None = None, object_axis: int = 
 
 
 def _mirrored(T: Array, local: Array) -> Array:
-    """W T L for the world's mirror W and the frame's own L, a proper pose again; local (3,): L's signs."""
+    """W T L, again a proper pose, for the world's mirror W and the frame's own mirror L. local (3,): L's signs."""
     out = T.copy()
     out[:3, :3] = _WORLD[:, None] * T[:3, :3] * local
     out[:3, 3] = _WORLD * T[:3, 3]

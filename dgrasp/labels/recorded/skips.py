@@ -1,10 +1,10 @@
-"""What gives no label, and why."""
+"""The exception for recordings that give no label."""
 
 from __future__ import annotations
 
 
 class Skip(Exception):
-    """A recording that gives no label: its reason, the same text for all of its kind, and a detail."""
+    """A recording that gives no label. reason: the same text for all recordings of this kind. detail: of this one."""
 
     def __init__(self, reason: str, detail: str = "") -> None:
         super().__init__(reason)

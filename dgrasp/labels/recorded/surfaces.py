@@ -1,4 +1,4 @@
-"""The objects' surfaces as points: which hand parts are near them, and whether an object is its own mirror image."""
+"""Objects' surfaces as points, to find which hand parts are near and whether an object is its own mirror image."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ SPACING = 0.005
 """m. Edges of a mesh are halved until they are this short: the large faces of a box have no vertices of their own."""
 MAX_POINTS, MAX_FILE_BYTES = 1_000_000, 64 * 2**20
 MIRROR_TOLERANCE = 0.005
-"""m. Between an object and its mirror image, at all but a hundredth of its surface."""
+"""m. Largest distance between an object and its mirror image, over 99% of its surface."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,7 +38,7 @@ class Surface:
     def near_parts(self, vertices_O: Array, owner: Array) -> Array:
         """(16,) bool: the parts with a vertex within 0.015 m of the surface (supplement, section A.1).
 
-        vertices_O: (V, 3) of the hand in O. owner: (V,), the part that each moves with.
+        vertices_O: (V, 3) m, the hand's vertices in O. owner: (V,), the part that each moves with.
         """
         distance, _ = self.tree.query(vertices_O, distance_upper_bound=CONTACT_DISTANCE)
         near = np.zeros(N_PARTS, dtype=bool)
@@ -46,7 +46,7 @@ class Surface:
         return near
 
     def mirror_plane(self) -> tuple[int, float, float]:
-        """The best mirror plane across an axis of O: axis (0, 1, 2), its coordinate (m), and how far off (m)."""
+        """The best mirror plane across an axis of O: axis (0, 1, 2), its coordinate (m), and its deviation (m)."""
         best = (0, 0.0, np.inf)
         for axis in range(3):
             middle = float(self.points[:, axis].min() + self.points[:, axis].max()) / 2
@@ -60,14 +60,14 @@ class Surface:
 
 @dataclass
 class Surfaces:
-    """The objects' surfaces, each read when it is first asked for. folders: where NAME/ with a mesh is looked for."""
+    """The objects' surfaces, each read on first use. folders: where NAME/ with a mesh is looked for."""
 
     folders: Sequence[Path]
     _read: dict[str, Surface] = field(default_factory=dict)
     _hashes: dict[str, str] = field(default_factory=dict)
 
     def mesh(self, name: str) -> Path:
-        """The object's mesh file; a `DataError` says where it was looked for."""
+        """The object's mesh file. If there is none, raises `DataError` that says where it was looked for."""
         for folder in self.folders:
             for file in MESHES:
                 if (Path(folder) / name / file).is_file():
@@ -76,7 +76,7 @@ class Surfaces:
                         f"{' or '.join(str(folder) for folder in self.folders)}; give the folder with --objects")
 
     def sha256(self, name: str) -> str:
-        """Of the object's mesh file."""
+        """The SHA-256 of the object's mesh file, in hexadecimal."""
         if name not in self._hashes:
             self._hashes[name] = sha256_of(self.mesh(name))
         return self._hashes[name]
@@ -88,8 +88,8 @@ class Surfaces:
 
 
 def read_surface(path: Path) -> Surface:
-    """The surface of a mesh file in m. Raises `DataError` for a damaged file, and for one in another unit."""
-    import trimesh  # Late: it takes a second.
+    """Read the surface of a mesh file in m. Raises `DataError` for a damaged file, and for one in another unit."""
+    import trimesh  # Imported late: it takes a second.
     from scipy.spatial import cKDTree
 
     if path.is_file() and path.stat().st_size > MAX_FILE_BYTES:
