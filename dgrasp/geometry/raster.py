@@ -63,6 +63,7 @@ class Camera:
         self.R = np.stack([right, -np.cross(right, ahead), ahead])
         """Rows are the picture's x, its y (downwards) and the depth."""
         self.focal = self.height / (2.0 * np.tan(FIELD_OF_VIEW / 2.0))
+        self._floors: dict[bytes, tuple[Array, Array]] = {}
 
     def project(self, points: Array) -> tuple[Array, Array]:
         """Places (..., 2) in samples and inverse depths (...,) 1/m of points (..., 3) m, world."""
@@ -71,11 +72,20 @@ class Camera:
         center = np.array([self.width, self.height]) / 2.0
         return center + self.focal * seen[..., :2] * nearness[..., None], nearness
 
-    def rays(self) -> Array:
-        """(height, width, 3): directions of the samples, of depth 1 m."""
-        x = (np.arange(self.width) + 0.5 - self.width / 2.0) / self.focal
-        y = (np.arange(self.height) + 0.5 - self.height / 2.0) / self.focal
-        return x[None, :, None] * self.R[0] + y[:, None, None] * self.R[1] + self.R[2]
+    def floor(self, floor: Floor) -> tuple[Array, Array]:
+        """The samples that see a floor, and their inverse depths there, 1/m. A camera finds them once."""
+        key = np.append(floor.corners, floor.height).tobytes()
+        if key not in self._floors:
+            x = (np.arange(self.width) + 0.5 - self.width / 2.0) / self.focal
+            y = (np.arange(self.height) + 0.5 - self.height / 2.0) / self.focal
+            rays = (x[None, :, None] * self.R[0] + y[:, None, None] * self.R[1] + self.R[2]).reshape(-1, 3)
+            with np.errstate(divide="ignore", invalid="ignore"):
+                depth = (floor.height - self.eye[2]) / rays[:, 2]
+                place = self.eye[:2] + depth[:, None] * rays[:, :2]
+                low, high = floor.corners
+                seen = (depth > NEAR) & (place >= low).all(axis=1) & (place <= high).all(axis=1)
+            self._floors[key] = np.flatnonzero(seen), 1.0 / depth[seen]
+        return self._floors[key]
 
 
 def _corner_normals(vertices: Array, faces: Array) -> Array:
@@ -105,26 +115,19 @@ def draw(solids: Sequence[Shaded], camera: Camera, floor: Floor | None = None) -
         _draw_floor(floor, solids, camera, colors, nearness)
     for solid in solids:
         _draw_solid(solid, camera, colors, nearness)
-    samples = colors.reshape(camera.height // SAMPLES, SAMPLES, camera.width // SAMPLES, SAMPLES, 3)
-    return np.asarray(np.rint(255.0 * samples.mean(axis=(1, 3)).clip(0.0, 1.0)), dtype=np.uint8)
+    samples = colors.reshape(camera.height, camera.width, 3)
+    total = sum(samples[i::SAMPLES, k::SAMPLES] for i in range(SAMPLES) for k in range(SAMPLES))
+    return np.asarray(np.rint((255.0 / SAMPLES**2) * total).clip(0.0, 255.0), dtype=np.uint8)
 
 
 def _draw_floor(floor: Floor, solids: Sequence[Shaded], camera: Camera, colors: Array, nearness: Array) -> None:
-    rays = camera.rays().reshape(-1, 3)
-    below = camera.eye[2] - floor.height
-    with np.errstate(divide="ignore", invalid="ignore"):
-        depth = -below / rays[:, 2]
-        place = camera.eye[:2] + depth[:, None] * rays[:, :2]
-        (low, high) = floor.corners
-        seen = (depth > NEAR) & (place >= low).all(axis=1) & (place <= high).all(axis=1)
-    colors[seen], nearness[seen] = floor.color, 1.0 / depth[seen]
+    seen, inverse = camera.floor(floor)
+    colors[seen], nearness[seen] = floor.color, inverse
     for solid in solids:
         rise = np.maximum(solid.vertices[:, 2:] - floor.height, 0.0)
         xy, near = camera.project(solid.vertices - rise * LIGHT / LIGHT[2])
         _, sample, _ = _covered(xy[solid.faces], near[solid.faces], camera)
-        dark = np.zeros(len(colors), dtype=bool)
-        dark[sample] = True
-        colors[seen & dark] = SHADOW * floor.color
+        colors[sample[nearness[sample] > 0.0]] = SHADOW * floor.color
 
 
 def _draw_solid(solid: Shaded, camera: Camera, colors: Array, nearness: Array) -> None:
@@ -171,9 +174,9 @@ def _covered(corners: Array, near: Array, camera: Camera) -> tuple[Array, Array,
     place = np.stack([x + 0.5, y + 0.5], axis=1)
     v = _cross(place - a[face], (c - a)[face]) * turn[face]
     w = _cross((b - a)[face], place - a[face]) * turn[face]
-    weights = np.stack([1.0 - v - w, v, w], axis=1)
-    inside = (weights >= 0.0).all(axis=1) & (turn[face] != 0.0)
-    return face[inside], (y * camera.width + x)[inside], weights[inside]
+    inside = (v >= 0.0) & (w >= 0.0) & (v + w <= 1.0) & (turn[face] != 0.0)
+    v, w = v[inside], w[inside]
+    return face[inside], (y * camera.width + x)[inside], np.stack([1.0 - v - w, v, w], axis=1)
 
 
 def _cross(a: Array, b: Array) -> Array:
