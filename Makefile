@@ -1,12 +1,12 @@
 # Each target makes .venv first, and updates it only if pyproject.toml, setup.py or constraints.txt has changed.
 #   PYTHON=/path/to/python3.11     the Python that makes .venv
 #   PIP_FLAGS="--index-url URL"    further options for every pip install
-PYTHON ?= python3.11 python3.10 python3 python
+PYTHON ?= python3.11 python3.10 python3.12 python3.13 python3.14 python3 python
 PIP_FLAGS ?=
 
 PY := .venv/bin/python
 PIP := $(PY) -m pip --disable-pip-version-check install -qq --constraint constraints.txt $(PIP_FLAGS)
-FITS := import ensurepip, sys, venv; sys.exit(sys.version_info[:2] not in ((3, 10), (3, 11)))
+FITS := import ensurepip, sys, venv; sys.exit(sys.version_info < (3, 10))
 
 .PHONY: help setup demo test clean
 
@@ -39,8 +39,8 @@ clean:
 	      echo "setup: .venv with $$("$$python" --version)"; exec "$$python" -m venv --clear .venv; \
 	    fi; \
 	  done; \
-	  echo "No Python 3.10 or 3.11 with its venv module found (looked at: $(PYTHON)). PyBullet has wheels only for" \
-	       "these; install one, or name yours: make $(or $(MAKECMDGOALS),setup) PYTHON=/path/to/python3.11" >&2; \
+	  echo "No Python 3.10 or newer with its venv module found (looked at: $(PYTHON)). Install one, or name yours:" \
+	       "make $(or $(MAKECMDGOALS),setup) PYTHON=/path/to/python3.11" >&2; \
 	  exit 2; }
 	@torch=$$(sed -n 's/^torch==//p' constraints.txt); echo "setup: torch $$torch"; \
 	if [ "$$(uname -s)" = Linux ] && ! nvidia-smi >/dev/null 2>&1; then \

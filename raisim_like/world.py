@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from raisim_like.articulated_system import ArticulatedSystem
 from raisim_like.batch import Preset, WorldSpec
-from raisim_like.engines import make_engine
+from raisim_like.engines import default_engine, make_engine
 from raisim_like.errors import EngineError
 from raisim_like.material import MaterialTable
 from raisim_like.rigid_body import RigidBody, vector3
@@ -47,10 +47,10 @@ class World:
     preset: "faithful" is as near to RaiSim as the engine gets, "fast" trades some of that for speed.
     """
 
-    def __init__(self, engine: str = "pybullet", timestep: float = 0.00222, preset: Preset = "faithful") -> None:
+    def __init__(self, engine: str | None = None, timestep: float = 0.00222, preset: Preset = "faithful") -> None:
         if not timestep > 0:
             raise ValueError(f"timestep must be positive, got {timestep}")
-        self.engine = make_engine(engine)
+        self.engine = make_engine(engine or default_engine())
         self.engine_world = self.engine.make_world(timestep, preset)
         self.timestep = timestep
         self.materials = MaterialTable()
@@ -59,7 +59,7 @@ class World:
         self.world_time = 0.0
 
     @classmethod
-    def from_spec(cls, spec: WorldSpec, engine: str = "pybullet") -> World:
+    def from_spec(cls, spec: WorldSpec, engine: str | None = None) -> World:
         """A world with the systems and then the bodies of a specification as its `objects`."""
         world = cls(engine, spec.timestep, spec.preset)
         world.set_gravity(spec.gravity)

@@ -149,4 +149,4 @@ def test_the_dependencies_are_what_the_code_imports(contents: dict[str, bytes]) 
     used = {name.split(".")[0] for package in PACKAGES for _, names in modules(package) for name in names}
     third_party = {name for name in used if name not in sys.stdlib_module_names and not within(name, *PACKAGES)}
     assert {IMPORTED_AS.get(distribution, distribution) for distribution in declared} == third_party
-    assert metadata["Requires-Python"] == "<3.12,>=3.10"
+    assert metadata["Requires-Python"] == ">=3.10"

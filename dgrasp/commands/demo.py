@@ -49,7 +49,7 @@ _OBJECT = "004_sugar_box"
 _TRAINING = ("name=demo", "data=free", f"labels.objects=[{_OBJECT}]", "env.episode_steps=100", "env.reward.pose=0.1",
              "ppo.max_minutes=3", "ppo.epochs=1000", "checkpoint.every=5", "checkpoint.keep=2", "eval.every=1000",
              "eval.gif=false")  # fmt: skip
-_TEST = ("data=free", "engine=pybullet", "physics.preset=faithful", "labels.split=test", "labels.limit_per_object=1")
+_TEST = ("data=free", "physics.preset=faithful", "labels.split=test", "labels.limit_per_object=1")
 _MOTION = (f"labels.objects=[{', '.join(MOTION_OBJECTS)}]", "motion.targets=near", "motion.stable_alone=false")
 
 

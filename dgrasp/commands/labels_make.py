@@ -27,6 +27,7 @@ from dgrasp.objects.release import release_object
 from dgrasp.objects.store import default_store, find_object, load_object
 from dgrasp.pool import cores
 from dgrasp.types import GraspLabel
+from raisim_like.engines import default_engine
 from raisim_like.errors import EngineError
 from raisim_like.registry import BATCHES, find_engine
 
@@ -57,8 +58,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                         help="the data with the 20 objects (default: free)")
     parser.add_argument("--store", type=Path, metavar="DIR", help="folder of added objects (default: data/objects)")
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--engine", choices=list(BATCHES), default="pybullet",
-                        help="engine that tries the grasps (default: pybullet; mujoco is five times faster)")
+    parser.add_argument("--engine", choices=list(BATCHES), default=default_engine(),
+                        help="engine that tries the grasps (default: %(default)s; mujoco is five times faster)")
     parser.add_argument("--workers", type=int, metavar="N", help="processes (default: one per core)")
 
 

@@ -27,6 +27,7 @@ from dgrasp.config.sections import (
 from dgrasp.config.values import apply_overrides, parse_yaml
 from dgrasp.errors import ConfigError
 from dgrasp.files.paths import cfg_root
+from raisim_like.engines import default_engine
 from raisim_like.registry import BATCHES
 
 
@@ -39,13 +40,14 @@ def _known_engine(name: str) -> str:
 class Config(Section):
     """One experiment.
 
+    engine: default pybullet, or mujoco where PyBullet is not installed.
     objects: the folder of added objects (`dgrasp object add`) that labels name; null looks at the data's objects/, then
     at data/objects.
     """
 
     name: Annotated[str, Field(pattern=r"^[^/\\\x00]{1,100}$")] = "dexycb"
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 1
-    engine: Annotated[str, AfterValidator(_known_engine)] = "pybullet"
+    engine: Annotated[str, AfterValidator(_known_engine)] = Field(default_factory=default_engine)
     device: Literal["auto", "cpu", "cuda"] = "auto"
     data: str | None = None
     hand: str | None = None

@@ -126,7 +126,7 @@ def _skin_parts(hand: HandModel) -> list[Body] | None:
 
 
 def mano_of_hand(file: Path, offsets: Array, hand_id: str, meta: dict[str, Any]) -> tuple[ManoModel, Array, Array]:
-    """MANO's model of a hand's side, with the hand's betas (S',) and joints (16, 3) m, order of `skeleton.PARTS`.
+    """MANO's model of a hand's side, with the hand's betas (S',) and joints (P, 3) m, order of `skeleton.PARTS`.
 
     offsets: the hand's own, m. meta: side and betas, as in `hand_surface`. Raises `DataError` if the file is not a MANO
     hand, or is another hand than this one.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from importlib.util import find_spec
 from typing import TYPE_CHECKING
 
 from raisim_like.errors import EngineError
@@ -12,20 +13,24 @@ if TYPE_CHECKING:
 ENGINES = ("pybullet", "mujoco")
 
 
+def default_engine() -> str:
+    """PyBullet, the reference; MuJoCo where PyBullet is not installed."""
+    return "pybullet" if find_spec("pybullet") else "mujoco"
+
+
 def make_engine(name: str) -> Engine:
     """The engine of that name; raises `EngineError` with the valid names."""
     if name == "pybullet":
+        if find_spec("pybullet") is None:
+            raise EngineError(
+                "the PyBullet engine needs the package pybullet, which is not installed. It has wheels for Python 3.10 "
+                "and 3.11. On others `pip install pybullet==3.2.7` builds it from its source, with a C++ compiler and "
+                "Python's headers, in about 7 minutes; or choose the engine mujoco"
+            )
         from raisim_like.engines.bullet.engine import BulletEngine
 
         return BulletEngine()
     if name == "mujoco":
-        try:
-            import mujoco  # noqa: F401
-        except ImportError:
-            raise EngineError(
-                "the MuJoCo engine needs the package mujoco, which is not installed; run: "
-                "pip install 'mujoco>=3.17,<4' (the extra dgrasp[mujoco] is the same), or choose the engine pybullet"
-            ) from None
         from raisim_like.engines.mujoco.world import MujocoEngine
 
         return MujocoEngine()

@@ -47,7 +47,8 @@ def test_other_files_are_refused(tmp_path: Path, raw: bytes) -> None:
 def test_a_new_format_and_a_new_source_are_an_entry_each(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     mine = LabelSource("mine", {"train": "mine_train.txt"}, "my terms", False)
     monkeypatch.setitem(source.RELEASED, "mine", mine)
-    read = LabelFormat(b"mine", "a text file", "a .txt of mine", lambda path: FileContent(make_labels(), "free", None))
+    content = FileContent(make_labels(), "free", MANO_NAMES, None)
+    read = LabelFormat(b"mine", "a text file", "a .txt of mine", lambda path: content)
     monkeypatch.setattr(source, "FORMATS", (*source.FORMATS, read))
     (tmp_path / "mine_train.txt").write_bytes(b"mine: 1")
     labels = load_labels(tmp_path / "mine_train.txt")

@@ -12,7 +12,7 @@ import pytest
 
 from dgrasp.hand.free.hand import URDF_PATH
 from raisim_like import EngineError, Shape, World, read_urdf
-from raisim_like.engines import make_engine
+from raisim_like.engines import default_engine, make_engine
 from raisim_like.engines.floors import LIGHT_INERTIA
 from raisim_like.world import BODY, STATIC, SYSTEM, collision_mask
 from tests.raisim_like.urdfs import mass_matrix, write_chain
@@ -237,13 +237,17 @@ def test_a_damaged_mesh_is_refused_by_its_name(world: World, tmp_path: Path) -> 
         world.integrate(1)
 
 
-def test_without_mujoco_the_rest_works_and_the_message_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
-    code = "import sys; sys.modules['mujoco'] = None; import raisim_like; raisim_like.World().integrate(1); print('ok')"
+def test_without_pybullet_mujoco_is_the_default_and_the_message_says_what_to_install(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    code = ("import sys; sys.modules['pybullet'] = None; import raisim_like; world = raisim_like.World()\n"
+            "world.integrate(1); print(world.engine.name)")
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
-    assert done.stdout == "ok\n", done.stderr
-    monkeypatch.setitem(sys.modules, "mujoco", None)
-    with pytest.raises(EngineError, match=r"needs the package mujoco.*pip install"):
-        make_engine("mujoco")
+    assert done.stdout == "mujoco\n", done.stderr
+    monkeypatch.setitem(sys.modules, "pybullet", None)
+    assert default_engine() == "mujoco"
+    with pytest.raises(EngineError, match=r"needs the package pybullet.*pip install pybullet==3.2.7.* engine mujoco"):
+        make_engine("pybullet")
 
 
 def test_a_model_is_read_once_for_many_worlds() -> None:

@@ -7,6 +7,8 @@ from dataclasses import FrozenInstanceError, fields
 import numpy as np
 import pytest
 
+from dgrasp.hand.free.hand import URDF_PATH
+from dgrasp.hand.load import load_hand
 from dgrasp.pool.serial import SerialPool
 from dgrasp.pool.worker import Shared
 from dgrasp.rl.step import Step
@@ -41,8 +43,9 @@ def test_the_arrays_of_a_step_cannot_be_exchanged() -> None:
 
 
 def test_shared_memory_holds_the_same_arrays_for_both_sides() -> None:
-    ours = Shared(2, 5, 3, 4, workers=1)
-    theirs = Shared(2, 5, 3, 4, workers=1, name=ours.memory.name)
+    layout = load_hand(URDF_PATH, "free").layout
+    ours = Shared(2, layout, 5, 3, 4, workers=1)
+    theirs = Shared(2, layout, 5, 3, 4, workers=1, name=ours.memory.name)
     try:
         expected = Step.layout(2, 5, 4)
         for k, (name, array) in enumerate(vars(theirs.out).items()):
