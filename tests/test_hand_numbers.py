@@ -12,7 +12,7 @@ NUMBERS = {51, 48, 45, 63, 21, 16, 279}
 """Degrees of freedom, rotations, finger angles, key point coordinates, key points, parts, the published observation."""
 
 FORMATS = (
-    "dgrasp/hand/mano/", "dgrasp/hand/free/", "dgrasp/hand/build/", "dgrasp/labels/recorded/",
+    "dgrasp/hand/mano/", "dgrasp/hand/free/", "dgrasp/hand/builder/", "dgrasp/labels/recorded/",
     "dgrasp/labels/formats/official.py", "dgrasp/rl/run/published.py",
 )  # fmt: skip
 """Files that read MANO's own formats, hands made from them, or the authors' files."""
@@ -27,7 +27,7 @@ OTHER_THINGS = {
 }
 
 SKELETON = "dgrasp.hand.mano.skeleton"
-READERS = ("dgrasp.hand.mano", "dgrasp.hand.free", "dgrasp.hand.build", "dgrasp.labels.recorded",
+READERS = ("dgrasp.hand.mano", "dgrasp.hand.free", "dgrasp.hand.builder", "dgrasp.labels.recorded",
            "dgrasp.labels.formats.official")
 """Modules that may name MANO's joints and parts one by one."""
 HANDS_OF_MANO = {"dgrasp.hand.load", "dgrasp.hand.motions", "dgrasp.hand.surface", "dgrasp.hand.store"}

@@ -10,9 +10,9 @@ import yaml
 
 from dgrasp.errors import DataError
 from dgrasp.files import licences
-from dgrasp.hand.build.build import Provenance, build_hand
-from dgrasp.hand.build.limits import label_limits
-from dgrasp.hand.build.report import print_report
+from dgrasp.hand.builder.build import Provenance, build_hand
+from dgrasp.hand.builder.limits import label_limits
+from dgrasp.hand.builder.report import print_report
 from dgrasp.hand.free.skin import free_limits, free_skin, skin_path
 from dgrasp.hand.mano.file import read_mano
 from dgrasp.hand.store import open_hand

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from dgrasp.hand.build.report import print_report
+from dgrasp.hand.builder.report import print_report
 from dgrasp.hand.store import open_hand
 
 HELP = """\

@@ -11,7 +11,7 @@ import numpy as np
 from dgrasp.errors import DataError
 from dgrasp.geometry.intersection import Body, body
 from dgrasp.geometry.shape_mesh import shape_mesh
-from dgrasp.hand.build.segment import segment
+from dgrasp.hand.builder.segment import segment
 from dgrasp.hand.free.skin import HAND_NAME, SKIN_FILE, free_skin
 from dgrasp.hand.mano.file import read_mano
 from dgrasp.hand.mano.model import ManoModel, mirror_mano

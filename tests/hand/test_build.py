@@ -16,9 +16,9 @@ from dgrasp.config.experiment import make_config
 from dgrasp.data import resolve
 from dgrasp.errors import DataError
 from dgrasp.geometry import approximate
-from dgrasp.hand.build.build import DENSITY
-from dgrasp.hand.build.limits import label_limits
-from dgrasp.hand.build.segment import closed_volume
+from dgrasp.hand.builder.build import DENSITY
+from dgrasp.hand.builder.limits import label_limits
+from dgrasp.hand.builder.segment import closed_volume
 from dgrasp.hand.mano.file import read_mano
 from dgrasp.hand.mano.layout import MANO_NAMES
 from dgrasp.hand.mano.model import MIRROR, MIRROR_ANGLES, ManoModel

@@ -10,7 +10,7 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
-from dgrasp.hand.build.segment import closed_volume
+from dgrasp.hand.builder.segment import closed_volume
 from dgrasp.hand.free.anatomy import BONES, HAND_BREADTH, METACARPAL_BASES, METACARPALS, RADII, knuckles
 from dgrasp.hand.free.hand import URDF_PATH, main
 from dgrasp.hand.free.skin import free_skin

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from dgrasp.geometry.intersection import body, join
-from dgrasp.hand.build.segment import closed_volume, segment
+from dgrasp.hand.builder.segment import closed_volume, segment
 from dgrasp.hand.free.anatomy import BONES, HAND_BREADTH
 from dgrasp.hand.free.make_skin import SHAPES, rest_joints
 from dgrasp.hand.free.rings import CUT, INDEX_BREADTH, THUMB_BREADTH, THUMB_THICKNESS, digit

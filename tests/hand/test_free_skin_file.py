@@ -13,8 +13,8 @@ from dgrasp.cli import run_command
 from dgrasp.errors import DataError
 from dgrasp.geometry import approximate
 from dgrasp.geometry.intersection import join
-from dgrasp.hand.build.build import DENSITY
-from dgrasp.hand.build.limits import mirror_limits
+from dgrasp.hand.builder.build import DENSITY
+from dgrasp.hand.builder.limits import mirror_limits
 from dgrasp.hand.free.flesh import Flesh, field, onto_surface
 from dgrasp.hand.free.make_skin import SHAPES, main
 from dgrasp.hand.free.skin import MEMBERS, free_skin, read_skin, skin_path

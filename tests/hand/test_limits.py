@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from dgrasp.errors import DataError
-from dgrasp.hand.build.limits import LABEL_SLACK, label_limits, mirror_limits, table_limits
+from dgrasp.hand.builder.limits import LABEL_SLACK, label_limits, mirror_limits, table_limits
 from dgrasp.hand.free.anatomy import hand_parts
 from dgrasp.hand.mano.skeleton import DOF_NAMES
 from dgrasp.hand.store import open_hand

@@ -11,7 +11,7 @@ import trimesh
 from dgrasp.errors import DataError
 from dgrasp.geometry.inside import box_points, inner_points, inside_shape, shape_bounds, union_volume
 from dgrasp.geometry.part_mesh import PartMesh, mesh_volume
-from dgrasp.hand.build.segment import closed_volume, segment
+from dgrasp.hand.builder.segment import closed_volume, segment
 from dgrasp.hand.mano.file import read_mano
 from dgrasp.hand.mano.model import ManoModel
 from dgrasp.hand.mano.skeleton import PARTS

@@ -13,7 +13,7 @@ from dgrasp.errors import DataError
 from dgrasp.geometry import approximate
 from dgrasp.geometry.inertia import shape_properties
 from dgrasp.geometry.intersection import join
-from dgrasp.hand.build.segment import closed_volume
+from dgrasp.hand.builder.segment import closed_volume
 from dgrasp.hand.free.skin import free_skin
 from dgrasp.hand.mano.file import read_mano
 from dgrasp.hand.mano.skinning import euler_rotations, numpy_skin

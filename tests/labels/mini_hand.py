@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from dgrasp.hand.build.urdf_writer import LinkPart, hand_urdf
+from dgrasp.hand.builder.urdf_writer import LinkPart, hand_urdf
 from dgrasp.hand.mano.model import ManoModel
 from dgrasp.hand.mano.skeleton import N_PARTS, PART_PARENT
 from raisim_like.shapes import Shape

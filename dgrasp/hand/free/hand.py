@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 
 from dgrasp.files.paths import data_root
-from dgrasp.hand.build.build import primitive_links
-from dgrasp.hand.build.urdf_writer import hand_urdf
+from dgrasp.hand.builder.build import primitive_links
+from dgrasp.hand.builder.urdf_writer import hand_urdf
 from dgrasp.hand.free.skin import free_limits, free_skin
 from dgrasp.hand.mano.skeleton import DISTAL_PARTS
 

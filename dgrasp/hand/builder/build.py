@@ -17,9 +17,9 @@ from dgrasp.geometry.approximate import Fit, fit_box, fit_capsule, fit_hull, par
 from dgrasp.geometry.inertia import MassProperties
 from dgrasp.geometry.part_mesh import PartMesh
 from dgrasp.hand import store
-from dgrasp.hand.build.limits import mirror_limits, table_limits
-from dgrasp.hand.build.segment import segment
-from dgrasp.hand.build.urdf_writer import LinkPart, hand_urdf
+from dgrasp.hand.builder.limits import mirror_limits, table_limits
+from dgrasp.hand.builder.segment import segment
+from dgrasp.hand.builder.urdf_writer import LinkPart, hand_urdf
 from dgrasp.hand.load import load_hand
 from dgrasp.hand.mano.model import MIRROR, ManoModel, mirror_mano
 from dgrasp.hand.mano.skeleton import DISTAL_PARTS, N_PARTS, PART_PARENT, PARTS
