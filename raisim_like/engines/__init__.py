@@ -13,7 +13,7 @@ ENGINES = ("pybullet", "mujoco")
 
 
 def make_engine(name: str) -> Engine:
-    """The engine of that name; raises `EngineError` with the valid names."""
+    """The engine of that name. Raises `EngineError` for an unknown name or a missing package."""
     if name == "pybullet":
         from raisim_like.engines.bullet.engine import BulletEngine
 

@@ -13,7 +13,7 @@ from raisim_like.urdf import UrdfModel
 
 
 class Picture:
-    """The bodies of another engine's world, by their ids there; they are placed and drawn, never simulated."""
+    """Draws the bodies of another engine's world, under their ids there; they are placed but never simulated."""
 
     def __init__(
         self,
@@ -37,14 +37,14 @@ class Picture:
         self._stage.close()
 
     def set_color(self, body: int, rgba: Sequence[float]) -> None:
-        """Colour of a body."""
+        """Set the colour of a body."""
         self._stage.set_color({**self._solids, **self._systems}[body], rgba)
 
     def render(
         self, world: EngineWorld, bases: Mapping[int, tuple[Array, Array]], eye: Array, target: Array, width: int,
         height: int,
     ) -> Array:  # fmt: skip
-        """(height, width, 3) uint8 of the world as it is; `bases` holds position and quaternion of each system's."""
+        """(height, width, 3) uint8 picture of the world now. bases: position and quaternion of each system's base."""
         state = np.zeros(13)
         for body, mine in self._solids.items():
             world.get_body_state(body, state)

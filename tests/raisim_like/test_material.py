@@ -54,7 +54,7 @@ def test_what_a_product_cannot_give_is_refused() -> None:
     table.set_pair("a", "b", 0.9)
     with pytest.raises(EngineError, match="multiplies one friction coefficient per body") as error:
         factors(table, ["a", "a", "b", "b"], pairs("a", "a", "b", "b"))
-    assert "'a'" in str(error.value) and "choose pairs that factor" in str(error.value)
+    assert "'a'" in str(error.value) and "products of one coefficient per material" in str(error.value)
 
 
 def test_the_world_refuses_it_when_the_second_body_makes_it_matter() -> None:

@@ -114,11 +114,11 @@ def test_a_snapshot_is_of_one_world_and_its_bodies(scene: Scene, tmp_path: Path)
     world = scene[0]
     snapshot = world.save()
     other = World(world.engine.name)
-    with pytest.raises(EngineError, match="of another world"):
+    with pytest.raises(EngineError, match="belongs to another world"):
         other.restore(snapshot)
     other.close()
     arm = world.add_articulated_system(write_chain(tmp_path / "arm.urdf"))
-    with pytest.raises(EngineError, match="bodies have come or gone"):
+    with pytest.raises(EngineError, match="bodies were added or removed"):
         world.restore(snapshot)
     world.remove(arm)
 
