@@ -150,9 +150,9 @@ def test_files_that_were_changed_are_refused(file: Path, tmp_path: Path) -> None
         ({"shapes": []}, "out of range"),
         ({"shapes": [{**meta["shapes"][0], "size": [1.0]}]}, "out of range"),
         ({"shapes": [{**meta["shapes"][0], "kind": "hull", "size": [], "file": "../x.obj"}]}, "out of range"),
-        ({"files": {"mesh.obj": "0" * 64}}, "its id is no longer that"),
-        ({"mass_kg": 2.0 * meta["mass_kg"]}, "its id is no longer that"),
-        ({"shapes": [{**meta["shapes"][0], "position": [0.0, 0.0, 0.1]}]}, "its id is no longer that"),
+        ({"files": {"mesh.obj": "0" * 64}}, "its id no longer matches"),
+        ({"mass_kg": 2.0 * meta["mass_kg"]}, "its id no longer matches"),
+        ({"shapes": [{**meta["shapes"][0], "position": [0.0, 0.0, 0.1]}]}, "its id no longer matches"),
         ({"files": {"../mesh.obj": "0" * 64}}, "out of range"),
         ({"name": "other"}, "out of range"),
     ):

@@ -153,10 +153,10 @@ def test_a_folder_a_missing_file_and_one_too_large(tmp_path: Path, monkeypatch: 
             read_mesh_file(path)
     path = save(joined(box(), box()), tmp_path / "a.obj")
     monkeypatch.setattr(mesh_reader, "MAX_FACES", 20)
-    with pytest.raises(DataError, match="24 faces; at most 20 are taken"):
+    with pytest.raises(DataError, match="24 faces; at most 20 are allowed"):
         read_mesh_file(path)
     monkeypatch.setattr(mesh_reader, "MAX_BYTES", 100)
-    with pytest.raises(DataError, match="bytes; at most 100 are taken"):
+    with pytest.raises(DataError, match="bytes; at most 100 are allowed"):
         read_mesh_file(path)
 
 

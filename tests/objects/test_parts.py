@@ -279,7 +279,7 @@ def test_other_kinds_of_shape_are_left_alone(tmp_path: Path, cuts: list[PartSett
 
 
 def test_triangles_are_for_pybullet_alone() -> None:
-    with pytest.raises(ConfigError, match=r"physics\.concave: mujoco collides no concave meshes"):
+    with pytest.raises(ConfigError, match=r"physics\.concave: mujoco does not support concave meshes"):
         load_config(None, ["engine=mujoco", "physics.concave=mesh"])
     assert load_config(None, ["engine=mujoco"]).physics.concave == "auto"
 
