@@ -22,7 +22,7 @@ from tests.objects.meshes import SIZE, VOLUME, box, save
 
 @pytest.fixture(scope="module")
 def shared(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A cache for all tests here: most of them are not about what is in it."""
+    """One cache for all tests here, because most of them do not depend on its content."""
     return tmp_path_factory.mktemp("cache")
 
 
@@ -103,7 +103,7 @@ def test_the_same_content_is_not_computed_again(file: Path, tmp_path: Path, monk
         assert add_box(file, tmp_path / "a").meta == first.meta
         with pytest.raises(AssertionError, match="computed again"):
             add_object(file, tmp_path / "c", "box", "mm", None, "sphere")
-    # A damaged entry is made anew.
+    # A damaged entry is made again.
     next(path for path in made if path.name == "mesh.obj").write_text("v 0 0 0\n")
     assert not add_box(file, tmp_path / "d").cached
 
@@ -175,7 +175,7 @@ def test_a_replacement_that_is_stopped_leaves_what_was_there(
     before, rename = (folder / META_FILE).read_bytes(), Path.rename
 
     def stopped(self: Path, to: Path) -> Path:
-        if Path(to) == folder and not self.name.endswith(".old"):  # the new one to its place
+        if Path(to) == folder and not self.name.endswith(".old"):  # the new folder, to its place
             raise KeyboardInterrupt
         return rename(self, to)
 

@@ -1,4 +1,4 @@
-"""Worlds that are saved and taken back: what follows is the same to the bit."""
+"""Worlds that are saved and restored: what follows is identical to the bit."""
 
 from __future__ import annotations
 
@@ -135,7 +135,7 @@ def test_snapshots_may_outlive_their_world(engine: str) -> None:
 
 
 def test_snapshots_of_a_closed_world_leave_later_ones_alone(engine: str) -> None:
-    """A new world gets what numbers the closed one had, of itself and of its states."""
+    """A new world reuses the closed one's numbers, its own and those of its states."""
     closed = World(engine)
     closed.add_sphere(0.1, 1.0)
     old = closed.save()

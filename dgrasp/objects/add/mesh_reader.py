@@ -169,7 +169,7 @@ def _check_header(suffix: str, raw: bytes) -> None:
         _check_rows(sum(counts))
     elif suffix == "glb":
         if raw[:4] != b"glTF" or len(raw) < 20:
-            raise DataError("it does not begin as a GLB file does; expected binary glTF 2.0")
+            raise DataError("it does not begin like a GLB file; expected binary glTF 2.0")
         length, chunk = struct.unpack_from("<II", raw, 8)
         if length != len(raw) or 20 + chunk > length:
             raise DataError(f"its header announces {length} bytes, but there are {len(raw)}; the file is damaged or "
