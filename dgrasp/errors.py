@@ -1,4 +1,4 @@
-"""Errors that a user can act on. The command line prints their text alone and exits with 2."""
+"""Errors that a user can act on. The command line prints only their text and exits with code 2."""
 
 from __future__ import annotations
 

@@ -4,8 +4,8 @@
 start of the episode, G the object at its target. Quaternions are w, x, y, z. Angles are intrinsic XYZ Euler
 angles in radians.
 
-Sizes of a hand (`dgrasp.hand.layout`): D generalised coordinates, the first six the wrist's; J finger joints; P parts
-that can touch; K key points.
+Sizes of a hand (`dgrasp.hand.layout`): D generalised coordinates, the first six of them the wrist's; J finger joints; P
+parts that can touch; K key points.
 """
 
 from __future__ import annotations
@@ -32,19 +32,19 @@ class StartPose:
 
 @dataclass(frozen=True)
 class GraspLabel:
-    """One static grasp, as a data source gives it (paper, section 3.1).
+    """One static grasp, as a data source provides it (paper, section 3.1).
 
     object_id: catalogue name, such as "004_sugar_box".
     hand_pose: (J,) finger joint angles, rad.
     T_WH, T_WO: (4, 4) wrist and object in the world at the grasp.
     joints_W: (K, 3) key points in the world, m; the first is the wrist.
     goal_contacts: (P,) bool, which parts should touch the object.
-    start: the start of the approach; None where the source has only the static grasp, and then the
-        scene makes one.
-    hand: id of the hand that it was made for ("mano_mean", "free"); another hand refuses it.
-    source: where it comes from ("dexycb_train_labels.pkl", "free"), and its place there: `index` counts
-        within the object.
-    on_table: whether the label knows the table (its world has a table at z = 0.5 m).
+    start: the start of the approach; None if the source has only the static grasp; the scene then
+        makes one.
+    hand: id of the hand that the label was made for ("mano_mean", "free"); other hands refuse it.
+    source, index: where the label comes from ("dexycb_train_labels.pkl", "free"), and its number there;
+        `index` counts within the object.
+    on_table: whether the label knows the table; its world then has the table at z = 0.5 m.
     """
 
     object_id: str
@@ -82,7 +82,7 @@ class GraspGoal:
 
 @dataclass
 class SceneState:
-    """What the physics says about N environments after a control step.
+    """The physical state of N environments after a control step.
 
     gc, gv: (N, D) generalised coordinates and velocities; the first six are relative to the initial
         wrist frame H0 (m, rad as Euler angles; m/s, rad/s as their rates).
@@ -90,11 +90,11 @@ class SceneState:
     R_WH (N, 3, 3), joints_W (N, K, 3): wrist rotation and key points; joints_W[:, 0] is the wrist.
     R_WO (N, 3, 3), object_pos_W (N, 3), object_linvel_W, object_angvel_W (N, 3).
     contacts (N, P) float 0 or 1; contact_impulse (N, P), N s per substep, hand parts against the object.
-    object_start_W (N, 3): where the object was at the start. table_height_W (N,).
+    object_start_W (N, 3): position of the object at the start. table_height_W (N,).
     object_mass (N,) kg. table_contact (N,) bool: the object touches the table.
-    table_gone (N,): 1 once the table was taken away. holding (N,): 1 while it is gone and the object has not
-        dropped. episode_time (N,): share of the episode that has passed.
-    R_WG (N, 3, 3), target_pos_W (N, 3): the target pose of the object, T_g; where it started until a motion begins.
+    table_gone (N,): 1 once the table has been removed. holding (N,): 1 while the table is gone and the object has
+        not dropped. episode_time (N,): share of the episode that has passed.
+    R_WG (N, 3, 3), target_pos_W (N, 3): the target pose of the object, T_g; until a motion begins, its start pose.
     """
 
     gc: Array
@@ -122,14 +122,14 @@ class SceneState:
 
 @dataclass
 class EpisodeRecord:
-    """One evaluated episode: what the metrics and the report read. T control steps.
+    """One evaluated episode of T control steps, as the metrics and the report read it.
 
     label: the grasp label. gc (T, D), T_WH (T, 4, 4), joints_W (T, K, 3), T_WO (T, 4, 4),
     contacts (T, P), contact_impulse (T, P) N s per substep, table_contact (T,) bool: states after each
-    control step. window_start: index of the first step after the grasp, with which the table was taken away or, in
-    `table_stays`, the object began to be moved; 0 where an episode begins without a table.
+    control step. window_start: index of the first step after the grasp. In this step the table is removed or, if
+    `table_stays`, the motion of the object begins. 0 if the episode begins without a table.
     dt: control period in s. terminated: why the episode ended early ("" if it did not).
-    reward: (T,). T_WG: (T, 4, 4) where the object should be after each control step, in episodes that move it; else
+    reward: (T,). T_WG: (T, 4, 4) target pose of the object after each control step, in episodes that move it; else
     None. Raises `ValueError` for a T_WG of another shape.
     """
 
@@ -154,5 +154,5 @@ class EpisodeRecord:
 
     @property
     def table_stays(self) -> bool:
-        """Whether the table was never taken away: a motion that began with a grasp keeps it."""
+        """Whether the table is never removed, as in a motion that begins with a grasp."""
         return self.T_WG is not None and self.window_start > 0

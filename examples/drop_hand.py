@@ -1,4 +1,4 @@
-"""Drop a hand on a table: `python examples/drop_hand.py`, or with another engine: `... mujoco`."""
+"""Drop a hand on a table: `python examples/drop_hand.py`, or add `mujoco` for the other engine."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ HAND = Path(__file__).resolve().parents[1] / "data" / "free" / "hand" / "free_ha
 
 
 def main(engine: str = "pybullet") -> None:
-    """Print where the palm is, and what presses on the table, every tenth of a second."""
+    """Print the height of the palm and the force on the table every tenth of a second."""
     world = World(engine, timestep=0.002)
     world.set_default_material(0.8)
     table = world.add_box(1.0, 1.0, 0.05, mass=0.0)

@@ -1,4 +1,4 @@
-"""RaiSim's vocabulary over open physics engines. It knows nothing of grasping."""
+"""RaiSim's vocabulary over open physics engines. The package knows nothing about grasping."""
 
 from raisim_like.articulated_system import ArticulatedSystem
 from raisim_like.contact import Contact

@@ -43,7 +43,7 @@ class ArticulatedSystem:
 
     @property
     def frame_names(self) -> tuple[str, ...]:
-        """Names of all links of the file, fixed ones included: the frames of the methods below."""
+        """Names of all links in the file, fixed ones included. The methods below take them as frames."""
         return tuple(self.model.frames)
 
     @property
@@ -52,23 +52,23 @@ class ArticulatedSystem:
         return self.model.joint_limits
 
     def set_base_pose(self, position: Any, quaternion: Any = (1, 0, 0, 0)) -> None:
-        """Pose of the fixed base in the world, quaternion w x y z."""
+        """Set the pose of the fixed base in the world: position (3,) m, quaternion w, x, y, z."""
         self._world.engine_world.set_base_pose(self.id, np.asarray(position), np.asarray(quaternion))
 
     def set_state(self, gc: Any, gv: Any | None = None) -> None:
-        """Generalised coordinates and velocities (dof,); the controller forgets its past."""
+        """Set coordinates and velocities (by default 0), (dof,) each, and reset the controller's memory."""
         velocity = np.zeros(self.dof) if gv is None else gv
         self._world.engine_world.set_joint_state(self.id, self._vector(gc, "gc"), self._vector(velocity, "gv"))
 
     @property
     def generalized_coordinate(self) -> Array:
-        """(dof,)"""
+        """Generalised coordinates (dof,)."""
         self._world.engine_world.get_joint_state(self.id, self._gc, self._gv)
         return self._gc.copy()
 
     @property
     def generalized_velocity(self) -> Array:
-        """(dof,)"""
+        """Generalised velocities (dof,)."""
         self._world.engine_world.get_joint_state(self.id, self._gc, self._gv)
         return self._gv.copy()
 
@@ -78,19 +78,19 @@ class ArticulatedSystem:
         return self.generalized_coordinate, self.generalized_velocity
 
     def set_pd_gains(self, kp: Any, kd: Any) -> None:
-        """PD gains (dof,) or scalars, N m/rad and N m s/rad (N/m and N s/m for prismatic joints)."""
+        """Set the PD gains, (dof,) or scalars: N m/rad and N m s/rad (N/m and N s/m for prismatic joints)."""
         self._world.engine_world.set_pd_gains(self.id, self._vector(kp, "kp"), self._vector(kd, "kd"))
 
     def set_pd_target(self, target: Any) -> None:
-        """PD position target (dof,); the target velocity is zero."""
+        """Set the PD position target (dof,); the target velocity is zero."""
         self._world.engine_world.set_pd_target(self.id, self._vector(target, "target"))
 
     def set_generalized_force(self, force: Any) -> None:
-        """Feed-forward force (dof,), added to the PD law."""
+        """Set the feed-forward force (dof,), which is added to the PD law."""
         self._world.engine_world.set_feed_forward(self.id, self._vector(force, "force"))
 
     def mass_matrix(self) -> Array:
-        """(dof, dof) as simulated."""
+        """Mass matrix (dof, dof) as the engine simulates it."""
         return self._world.engine_world.mass_matrix(self.id)
 
     def frame_pose(self, frame: str) -> tuple[Array, Array]:
@@ -106,16 +106,16 @@ class ArticulatedSystem:
         return linear @ velocity, angular @ velocity
 
     def frame_jacobian(self, frame: str) -> tuple[Array, Array]:
-        """(3, dof) each: what a link frame's velocity and angular velocity are per generalised velocity, world."""
+        """Jacobians (3, dof) of a link frame's origin velocity and of its angular velocity, world."""
         index, T = self._frame(frame)
         R, t = self._link_poses()
         return jacobian(self.model, R, t, index, R[index] @ T[:3, 3] + t[index])
 
     def set_external_force(self, frame: str, force: Any, position: Any | None = None) -> None:
-        """Force (3,) N, world, on a link in the next substep only, added to what else is set.
+        """Apply a force (3,) N, world, to a link in the next substep only; it adds to the other forces.
 
-        frame: name of the link. position: (3,) m in that frame, where it acts; by default the link's centre of mass
-        (that of the moving link which a fixed one belongs to).
+        frame: name of the link. position: (3,) m in that frame, the point where the force acts; by default the link's
+        centre of mass (for a fixed link, that of the moving link it belongs to).
         """
         index, T = self._frame(frame)
         R, t = self._link_poses()
@@ -124,15 +124,15 @@ class ArticulatedSystem:
         self._world.engine_world.apply_generalized_force(self.id, linear.T @ vector3(force, "force"))
 
     def set_external_torque(self, frame: str, torque: Any) -> None:
-        """Torque (3,) N m, world, on a link in the next substep only, added to what else is set."""
+        """Apply a torque (3,) N m, world, to a link in the next substep only; it adds to the other torques."""
         _, angular = self.frame_jacobian(frame)
         self._world.engine_world.apply_generalized_force(self.id, angular.T @ vector3(torque, "torque"))
 
-    # Mechanics of the links as the file has them; control and engine add inertia that is not counted here.
+    # Mechanics of the links as the URDF gives them. Inertia that the controller or the engine adds is not included.
 
     @property
     def mass(self) -> float:
-        """kg of the moving links."""
+        """Mass of the moving links, kg."""
         return self.model.mass
 
     @property
@@ -147,7 +147,7 @@ class ArticulatedSystem:
         return self._masses @ velocities
 
     def angular_momentum(self, about: Any = (0, 0, 0)) -> Array:
-        """(3,) kg m^2/s, world, about a point of the world."""
+        """(3,) kg m^2/s, world, about a point (3,) m of the world."""
         centers, velocities, omega, inertias = self._motion()
         arms = centers - np.asarray(about, dtype=float)
         spins = np.matmul(inertias, omega[:, :, None])[..., 0]
@@ -155,14 +155,14 @@ class ArticulatedSystem:
 
     @property
     def kinetic_energy(self) -> float:
-        """J."""
+        """Kinetic energy, J."""
         _, velocities, omega, inertias = self._motion()
         turning = np.einsum("ni,nij,nj->", omega, inertias, omega)
         return float(self._masses @ (velocities**2).sum(axis=1) + turning) / 2
 
     @property
     def potential_energy(self) -> float:
-        """J in the world's gravity, zero at the world's origin."""
+        """Potential energy in the world's gravity, J; zero at the world's origin."""
         return -float(self._world.gravity @ (self._masses @ self._centers(*self._link_poses())))
 
     def contacts(self) -> list[Contact]:
@@ -170,7 +170,7 @@ class ArticulatedSystem:
         return self._world.engine_world.contacts(self.id)
 
     def _frame(self, frame: str) -> tuple[int, Array]:
-        """The moving link that a frame belongs to, and the frame's pose there."""
+        """Index of the moving link that a frame belongs to, and the frame's pose (4, 4) in that link."""
         if frame not in self.model.frames:
             raise ValueError(f"{self.model.path} has no link {frame!r}; it has {sorted(self.model.frames)}")
         index, T = self.model.frames[frame]

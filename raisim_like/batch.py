@@ -1,10 +1,10 @@
-"""The door to an engine: N worlds of one kind, placed, advanced and read together.
+"""The interface to an engine: N worlds of one kind that are placed, advanced and read together.
 
-A world is described by plain data (`WorldSpec`). `WorldBatch` is all that an engine has to offer to a task;
-`registry.make_batch` makes one. Worlds are the rows of all arrays. Each row holds
+Plain data (`WorldSpec`) describes a world. `WorldBatch` is everything that a task needs from an engine;
+`registry.make_batch` makes one. Each row of an array belongs to one world and holds
 
-- the coordinates of its systems, one system after the other: `dof` numbers in all;
-- its bodies, in the order of the specification: `WorldSpec.bodies[k]` is body k.
+- the coordinates of the world's systems, one system after the other: `dof` numbers in all;
+- the world's bodies, in the order of the specification: `WorldSpec.bodies[k]` is body k.
 
 Arrays are float64, SI, world frame; quaternions are w, x, y, z. A body's state is (13,): position, quaternion,
 linear and angular velocity of its frame.
@@ -27,7 +27,7 @@ Array = NDArray[Any]
 Rows = Sequence[int]
 
 Preset = Literal["faithful", "fast"]
-"""Settings of an engine: as near to RaiSim as it gets, or faster where that costs some of it."""
+"""Settings of an engine: as close to RaiSim as the engine can be, or faster and less close."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,7 +46,7 @@ class SystemSpec:
 
 @dataclass(frozen=True, eq=False)
 class BodySpec:
-    """A rigid body; with a mass of 0 kg it is static, and stays where it is put.
+    """A rigid body. A mass of 0 kg makes it static: it stays where it is placed.
 
     inertia: (3, 3) kg m^2 about the centre of mass (3,) m, both in the body's frame.
     """
@@ -72,13 +72,13 @@ class WorldSpec:
 
     @property
     def dof(self) -> int:
-        """Coordinates of all systems together."""
+        """Number of coordinates of all systems together."""
         return sum(system.model.dof for system in self.systems)
 
 
 @dataclass(frozen=True, eq=False)
 class BatchState:
-    """What a batch writes in place, row by row; the arrays stay the caller's.
+    """State arrays, which the caller owns and a batch writes in place, row by row.
 
     gc, gv: (N, dof) coordinates and velocities. bodies: (N, B, 13).
     """
@@ -96,35 +96,35 @@ class BatchState:
 
 
 class WorldBatch(Protocol):
-    """N worlds on one engine, whose specifications agree in all but shapes, masses and masks.
+    """N worlds on one engine. Their specifications may differ only in shapes, masses and masks.
 
-    Arguments of R rows hold one row per entry of `rows`, arguments of N rows one per world. After `place`, `move`
-    and `advance`, `state` is true for the rows that they were given; other rows are left as they are.
+    An argument of R rows has one row per entry of `rows`; an argument of N rows has one per world. `place`, `move`
+    and `advance` update `state` for the rows that they are given and leave the other rows unchanged.
     """
 
     state: BatchState
 
     @property
     def seconds(self) -> Array:
-        """(N,) wall seconds spent inside the engine's own step so far; a batched engine divides them equally."""
+        """(N,) wall-clock seconds spent in the engine's own step so far; a batched engine divides them equally."""
 
     def close(self) -> None:
         """Free all worlds."""
 
     def place(self, rows: Rows, bases: Array, gc: Array, bodies: Array) -> None:
-        """Begin anew, systems at rest: what follows does not depend on what was before.
+        """Start the worlds anew, with systems at rest; nothing that happened before affects them.
 
         bases: (R, S, 7) position and quaternion of each system's base. gc: (R, dof). bodies: (R, B, 13).
         """
 
     def move(self, rows: Rows, body: int, states: Array) -> None:
-        """Put one body to states (R, 13) while all else goes on."""
+        """Set one body to states (R, 13) and leave everything else as it is."""
 
     def set_gains(self, rows: Rows, kp: Array, kd: Array, feed_forward: Array) -> None:
-        """PD gains and a constant force of the coordinates, (R, dof) each; they hold until they are set again."""
+        """Set PD gains and a constant force per coordinate, (R, dof) each; they hold until they are set again."""
 
     def advance(self, rows: Rows, targets: Array, substeps: int) -> None:
-        """Advance by so many timesteps under PD control towards targets (N, dof)."""
+        """Advance by `substeps` timesteps under PD control towards targets (N, dof)."""
 
     def link_impulses(self, rows: Rows, body: int, out: Array) -> None:
         """Write the summed normal impulse (N s, last substep) of each system's links against a body, out (N, dof)."""
@@ -133,7 +133,7 @@ class WorldBatch(Protocol):
         """Write whether two bodies pressed on each other in the last substep, out (N,): 1 or 0."""
 
     def broken(self) -> Array:
-        """(N,) bool: rows whose state is not finite. They stay so until `rebuild`."""
+        """(N,) bool: rows whose state is not finite. They stay broken until `rebuild`."""
 
     def rebuild(self, rows: Rows) -> None:
-        """Make the worlds of these rows anew; they are to be placed next. Seconds are kept."""
+        """Replace the worlds of these rows by new ones, which must be placed next. `seconds` keeps counting."""

@@ -13,8 +13,8 @@ class Contact:
     """One contact point between two bodies.
 
     body_a, body_b: body ids; link_a, link_b: moving-link indices, -1 for the base or a rigid body.
-    point_W: (3,) on B. normal_W: (3,) unit, from B towards A. depth: m, positive when penetrating.
-    impulse: N s of the last substep along the normal. tangential_impulse_W: (3,) N s, of friction on A.
+    point_W: (3,) m, a point on B. normal_W: (3,) unit, from B towards A. depth: m, positive when penetrating.
+    impulse: N s, along the normal in the last substep. tangential_impulse_W: (3,) N s, of friction on A.
     """
 
     body_a: int
@@ -29,5 +29,5 @@ class Contact:
 
     @property
     def impulse_W(self) -> NDArray[np.float64]:
-        """(3,) N s: the whole impulse on A, world; what B gets is its negative."""
+        """(3,) N s: the total impulse on A, world; B receives its negative."""
         return self.impulse * self.normal_W + self.tangential_impulse_W

@@ -23,7 +23,7 @@ def joint_axes(model: UrdfModel, R: Array) -> Array:
 
 
 def jacobian(model: UrdfModel, R: Array, t: Array, link: int, point_W: Array) -> tuple[Array, Array]:
-    """(3, dof) each: velocity of a point of a link, and the link's angular velocity, per unit of gv; world."""
+    """Jacobians (3, dof) of the velocity of a point on a link and of the link's angular velocity, world."""
     linear, angular = np.zeros((3, model.dof)), np.zeros((3, model.dof))
     axes = joint_axes(model, R)
     i = link

@@ -14,7 +14,7 @@ from raisim_like.world import World, integrate
 
 
 class _Row:
-    """One world, and what its row of the state consists of."""
+    """One world, with the systems and bodies that make up its row of the state."""
 
     def __init__(self, spec: WorldSpec, engine: str) -> None:
         self.world = World.from_spec(spec, engine)
@@ -24,14 +24,14 @@ class _Row:
         self.bodies = [item for item in items if isinstance(item, RigidBody)]
         ends = accumulate((system.dof for system in self.systems), initial=0)
         self.parts = [slice(start, stop) for start, stop in pairwise(ends)]
-        # What each step asks for, as plain numbers.
+        # Ids, indices and slices that every step needs.
         self.driven = [(system.id, part) for system, part in zip(self.systems, self.parts, strict=True)]
         self.moving = [(k, body.id) for k, body in enumerate(self.bodies) if body.mass > 0]
         self.static = [k for k, body in enumerate(self.bodies) if body.mass == 0]
 
 
 class LoopBatch:
-    """`WorldBatch` over worlds of one engine. See there for the methods."""
+    """A `WorldBatch` over `World` objects of one engine. See `WorldBatch` for the methods."""
 
     def __init__(self, engine: str, specs: Sequence[WorldSpec], state: BatchState) -> None:
         self.engine, self.specs, self.state = engine, specs, state
@@ -40,7 +40,7 @@ class LoopBatch:
 
     @property
     def worlds(self) -> list[World]:
-        """One per row, for whoever wants RaiSim's view of it."""
+        """One `World` per row, for callers that use RaiSim's interface."""
         return [row.world for row in self._rows]
 
     @property
@@ -53,7 +53,7 @@ class LoopBatch:
 
     def rebuild(self, rows: Rows) -> None:
         for i in rows:
-            # A world that broke keeps its NaNs; only a new one is clean.
+            # A broken world keeps its NaNs; only a new one is clean.
             self._retired_seconds[i] += self._rows[i].engine_world.step_seconds
             self._rows[i].world.close()
             self._rows[i] = _Row(self.specs[i], self.engine)
@@ -77,7 +77,7 @@ class LoopBatch:
 
     def _move(self, i: int, body: int, state: Array) -> None:
         self._rows[i].bodies[body].set_state(state[:3], state[3:7], state[7:10], state[10:])
-        # What stands still is not asked for again.
+        # `_read` skips static bodies, so their state is written here.
         self.state.bodies[i, body] = state
 
     def set_gains(self, rows: Rows, kp: Array, kd: Array, feed_forward: Array) -> None:
@@ -88,7 +88,7 @@ class LoopBatch:
                 system.set_generalized_force(feed_forward[k, part])
 
     def advance(self, rows: Rows, targets: Array, substeps: int) -> None:
-        # Straight to the engine: the targets of each step are the caller's to check.
+        # The targets go straight to the engine; checking them is up to the caller.
         for i in rows:
             row = self._rows[i]
             for system, part in row.driven:

@@ -11,13 +11,13 @@ from raisim_like.errors import EngineError
 
 @dataclass
 class MaterialTable:
-    """Pairs of material names with their friction; a pair that is not named has the default."""
+    """Friction by pair of material names; pairs that are not in the table have the default."""
 
     default_friction: float = 0.8
     pairs: dict[frozenset[str], float] = field(default_factory=dict)
 
     def set_pair(self, first: str, second: str, friction: float) -> None:
-        """Friction coefficient between two materials (also a material with itself)."""
+        """Set the friction coefficient between two materials, or of a material with itself."""
         if not (np.isfinite(friction) and friction >= 0):
             raise EngineError(f"friction of {first!r} and {second!r} must be a number >= 0, got {friction!r}")
         self.pairs[frozenset((first, second))] = float(friction)

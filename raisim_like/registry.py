@@ -1,4 +1,4 @@
-"""The engines by name. A new one is a file that implements `WorldBatch` below `engines/`, and a line here."""
+"""The engines by name. To add one, implement `WorldBatch` in a file below `engines/` and add a line here."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from raisim_like.loop import LoopBatch
 
 
 class BatchMaker(Protocol):
-    """Makes the worlds of a batch, which writes into `state`."""
+    """Makes a batch of worlds that writes into `state`."""
 
     def __call__(self, specs: Sequence[WorldSpec], state: BatchState) -> WorldBatch: ...
 
@@ -27,13 +27,13 @@ BATCHES: Mapping[str, Callable[[], BatchMaker]] = {
     "pybullet": partial(_loop, "pybullet"),
     "mujoco": partial(_loop, "mujoco"),
 }
-"""By name of the engine: finds its maker. Raises `EngineError` where what it needs is not installed."""
+"""Name of an engine -> function that returns its maker, or raises `EngineError` if a package is not installed."""
 
 
 def find_engine(name: str) -> BatchMaker:
-    """The maker of batches of that name.
+    """The maker of batches for the engine of that name.
 
-    Raises `EngineError` with the valid names, or with what to install.
+    Raises `EngineError` for an unknown name, with the valid names, and for a missing package, with what to install.
     """
     if name not in BATCHES:
         raise EngineError(f"unknown engine {name!r}; expected one of {', '.join(BATCHES)}")
@@ -41,5 +41,5 @@ def find_engine(name: str) -> BatchMaker:
 
 
 def make_batch(engine: str, specs: Sequence[WorldSpec], state: BatchState) -> WorldBatch:
-    """Worlds of these specifications on the engine of that name. Raises as `find_engine` does."""
+    """A batch of worlds with these specifications on the engine of that name. Raises the errors of `find_engine`."""
     return find_engine(engine)(specs, state)

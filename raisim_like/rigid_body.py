@@ -15,7 +15,7 @@ Array = NDArray[Any]
 
 
 class Owner(Protocol):
-    """What an object needs of the world that it is in."""
+    """What an object needs from its world."""
 
     engine_world: EngineWorld
 
@@ -25,7 +25,7 @@ class Owner(Protocol):
 
 
 def vector3(value: Any, what: str) -> Array:
-    """A finite (3,) vector; ValueError otherwise."""
+    """`value` as a finite (3,) vector. Raises `ValueError` for anything else."""
     vector = np.asarray(value, dtype=float)
     if vector.shape != (3,) or not np.isfinite(vector).all():
         raise ValueError(f"{what}: expected 3 finite numbers, got {value}")
@@ -77,16 +77,16 @@ class RigidBody:
         self._world.engine_world.set_body_state(self.id, state)
 
     def set_external_force(self, force: Any, position: Any | None = None) -> None:
-        """Force (3,) N, world, in the next substep only, added to what else is set.
+        """Apply a force (3,) N, world, in the next substep only; it adds to the other forces.
 
-        position: (3,) m in the body's frame, where it acts; by default the centre of mass.
+        position: (3,) m in the body's frame, the point where the force acts; by default the centre of mass.
         """
         force = vector3(force, "force")
         arm = np.zeros(3) if position is None else self.rotation @ (vector3(position, "position") - self._com)
         self._world.engine_world.apply_wrench(self.id, force, np.cross(arm, force))
 
     def set_external_torque(self, torque: Any) -> None:
-        """Torque (3,) N m, world, in the next substep only, added to what else is set."""
+        """Apply a torque (3,) N m, world, in the next substep only; it adds to the other torques."""
         self._world.engine_world.apply_wrench(self.id, np.zeros(3), vector3(torque, "torque"))
 
     @property
@@ -102,13 +102,13 @@ class RigidBody:
         return self.mass * (state[7:10] + np.cross(state[10:13], arm))
 
     def angular_momentum(self, about: Any = (0, 0, 0)) -> Array:
-        """(3,) kg m^2/s, world, about a point of the world."""
+        """(3,) kg m^2/s, world, about a point (3,) m of the world."""
         spin = self._inertia_W @ self.angular_velocity if self.mass > 0 else np.zeros(3)
         return spin + np.cross(self.center_of_mass - np.asarray(about, dtype=float), self.linear_momentum)
 
     @property
     def kinetic_energy(self) -> float:
-        """J, of translation and rotation."""
+        """Kinetic energy of translation and rotation, J."""
         if self.mass == 0:
             return 0.0
         momentum, omega = self.linear_momentum, self.angular_velocity
@@ -116,7 +116,7 @@ class RigidBody:
 
     @property
     def potential_energy(self) -> float:
-        """J in the world's gravity, zero at the world's origin."""
+        """Potential energy in the world's gravity, J; zero at the world's origin."""
         return -self.mass * float(self._world.gravity @ self.center_of_mass)
 
     @property

@@ -29,7 +29,7 @@ def matrix_from_euler(angles: Array) -> Array:
 
 
 def euler_from_matrix(R: Array) -> Array:
-    """Intrinsic XYZ angles (..., 3) of matrices; at the gimbal lock the third angle is 0."""
+    """Intrinsic XYZ angles (..., 3) of matrices; at gimbal lock the third angle is 0."""
     sy = np.clip(R[..., 0, 2], -1.0, 1.0)
     locked = np.abs(sy) > 1.0 - 1e-12
     out = np.empty(R.shape[:-1])
@@ -86,7 +86,7 @@ def rotation_vector(R: Array) -> Array:
     """Rotation vectors (..., 3), axis times angle in [0, pi] rad, of matrices (..., 3, 3)."""
     q = quaternion_from_matrix(R)
     sine = np.linalg.norm(q[..., 1:], axis=-1, keepdims=True)
-    # Towards no rotation at all the factor angle / sine goes to 2.
+    # As the rotation vanishes, the factor angle / sine tends to 2.
     factor = np.where(sine > 1e-12, 2.0 * np.arctan2(sine, q[..., :1]) / np.maximum(sine, 1e-12), 2.0)
     return np.asarray(factor * q[..., 1:])
 

@@ -13,9 +13,10 @@ Kind = Literal["box", "cylinder", "sphere", "capsule", "mesh", "hull"]
 class Shape:
     """One collision shape in its body's frame.
 
-    size: box (x, y, z) full lengths; cylinder and capsule (radius, length) along z, the capsule's length
-    without its caps; sphere (radius,). A mesh (concave triangles) and a hull (convex hull of the vertices)
-    come from `file`, and their size is empty. m; quaternion w, x, y, z.
+    size: m. Box: full lengths (x, y, z). Cylinder and capsule: (radius, length) along z; the length of a capsule
+        excludes its caps. Sphere: (radius,). Mesh and hull: empty.
+    position: m. quaternion: w, x, y, z.
+    file: of a mesh (its concave triangles) or a hull (the convex hull of its vertices).
     """
 
     kind: Kind

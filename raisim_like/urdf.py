@@ -1,4 +1,4 @@
-"""Read RaiSim-style URDFs: massless links allowed, fixed joints collapsed into their parents."""
+"""Read RaiSim-style URDFs: links may be massless, and fixed joints are collapsed into their parents."""
 
 from __future__ import annotations
 
@@ -45,9 +45,9 @@ class UrdfLink:
 class UrdfModel:
     """An articulated system: one moving link per degree of freedom, depth first in the file's order.
 
-    Two models are equal when they are the same object.
+    Models are compared by identity.
 
-    frames: name of every original link -> (moving link index, -1 for the base; (4, 4) its pose there).
+    frames: name of every original link -> (index of its moving link, -1 for the base; its pose (4, 4) in that link).
     """
 
     name: str
@@ -72,7 +72,7 @@ class UrdfModel:
 
     @property
     def joint_damping(self) -> Array:
-        """(dof,) viscous damping of the file, N m s/rad or N s/m."""
+        """(dof,) viscous damping from the file, N m s/rad or N s/m."""
         return np.array([link.damping for link in self.links])
 
     @property
@@ -101,7 +101,7 @@ class _Reader:
         except (OSError, UnicodeDecodeError) as error:
             raise UrdfError(f"{path}: cannot be read ({error})") from None
         if "<!DOCTYPE" in text or "<!ENTITY" in text:
-            raise UrdfError(f"{path}: a URDF has no document type or entities; refused")
+            raise UrdfError(f"{path}: expected a URDF without document type and entities; refused")
         # A declared XML version other than 1.0 is a common slip in RaiSim's files, and harmless.
         if text.lstrip().startswith("<?xml"):
             text = text.partition("?>")[2]
@@ -213,7 +213,7 @@ def read_urdf(path: Path | str) -> UrdfModel:
     frames: dict[str, tuple[int, Array]] = {}
 
     def attach(name: str, index: int, T: Array) -> None:
-        """Fix what belongs to link `name` to moving link `index` at pose T, then walk its children."""
+        """Attach the shapes and masses of link `name` to moving link `index` at pose T, then visit its children."""
         frames[name] = (index, T)
         element, where = links[name], f"link {name!r}"
         if index >= 0:

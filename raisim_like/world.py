@@ -28,7 +28,7 @@ STATIC, BODY, SYSTEM = 1, 2, 4
 
 @dataclass(frozen=True)
 class Snapshot:
-    """What `World.save` returns and `World.restore` takes; nothing to look into."""
+    """An opaque snapshot, which `World.save` returns and `World.restore` takes."""
 
     world: World
     engine_state: Any
@@ -42,9 +42,9 @@ def collision_mask(kind: int, collides_with: int) -> int:
 
 
 class World:
-    """A simulated world (RaiSim's `World`). Gravity is (0, 0, -9.81) until set.
+    """A simulated world (RaiSim's `World`). Gravity is (0, 0, -9.81) m/s^2 until it is set.
 
-    preset: "faithful" is as near to RaiSim as the engine gets, "fast" trades some of that for speed.
+    timestep: s. preset: "faithful" is as close to RaiSim as the engine can be, "fast" trades some of that for speed.
     """
 
     def __init__(self, engine: str | None = None, timestep: float = 0.00222, preset: Preset = "faithful") -> None:
@@ -60,7 +60,7 @@ class World:
 
     @classmethod
     def from_spec(cls, spec: WorldSpec, engine: str | None = None) -> World:
-        """A world with the systems and then the bodies of a specification as its `objects`."""
+        """Make a world from a specification; its `objects` are the systems, then the bodies."""
         world = cls(engine, spec.timestep, spec.preset)
         world.set_gravity(spec.gravity)
         world.materials = MaterialTable(spec.materials.default_friction, dict(spec.materials.pairs))
@@ -77,7 +77,7 @@ class World:
         self.engine_world.close()
 
     def set_gravity(self, gravity: Any) -> None:
-        """(3,) m/s^2, world."""
+        """Set gravity, (3,) m/s^2, world."""
         self._gravity = vector3(gravity, "gravity")
         self.engine_world.set_gravity(self._gravity)
 
@@ -87,12 +87,12 @@ class World:
         return self._gravity.copy()
 
     def set_material_pair(self, first: str, second: str, friction: float) -> None:
-        """Friction between two materials; applies at once to all bodies."""
+        """Set the friction between two materials; it applies to all bodies immediately."""
         self.materials.set_pair(first, second, friction)
         self.engine_world.apply_materials(self.materials)
 
     def set_default_material(self, friction: float) -> None:
-        """Friction of all pairs that are not set."""
+        """Set the friction of all pairs that are not set by name."""
         self.materials.default_friction = float(friction)
         self.engine_world.apply_materials(self.materials)
 
@@ -105,7 +105,7 @@ class World:
         material: str = "default",
         mask: int | None = None,
     ) -> RigidBody:
-        """A rigid body of one or more shapes; mass 0 makes it static. inertia (3, 3) kg m^2 about the com."""
+        """Add a rigid body of one or more shapes; mass 0 makes it static. inertia (3, 3) kg m^2 about the com."""
         if not (math.isfinite(mass) and mass >= 0.0):
             raise ValueError(f"a mass of {mass} kg; expected a finite number, at least 0 (0: a static body)")
         if mask is None:
@@ -119,22 +119,22 @@ class World:
         return made
 
     def add_box(self, x: float, y: float, z: float, mass: float, material: str = "default") -> RigidBody:
-        """A solid box with full side lengths, m."""
+        """Add a solid box with full side lengths, m."""
         inertia = mass / 12 * np.diag([y * y + z * z, x * x + z * z, x * x + y * y])
         return self.add_body([Shape("box", (x, y, z))], mass, inertia, material=material)
 
     def add_sphere(self, radius: float, mass: float, material: str = "default") -> RigidBody:
-        """A solid sphere."""
+        """Add a solid sphere; radius in m."""
         return self.add_body([Shape("sphere", (radius,))], mass, 0.4 * mass * radius**2 * np.eye(3), material=material)
 
     def add_cylinder(self, radius: float, length: float, mass: float, material: str = "default") -> RigidBody:
-        """A solid cylinder along z."""
+        """Add a solid cylinder along z; radius and length in m."""
         side = mass * (3 * radius**2 + length**2) / 12
         inertia = np.diag([side, side, mass * radius**2 / 2])
         return self.add_body([Shape("cylinder", (radius, length))], mass, inertia, material=material)
 
     def add_ground(self, height: float = 0.0, material: str = "default") -> RigidBody:
-        """A large static slab whose top is at `height`."""
+        """Add a large static slab whose top is at `height`, m."""
         body = self.add_body([Shape("box", (20.0, 20.0, 1.0))], 0.0, np.eye(3), material=material)
         body.set_state((0.0, 0.0, height - 0.5))
         return body
@@ -147,10 +147,10 @@ class World:
         self_collision: bool = False,
         enforce_limits: bool = True,
     ) -> ArticulatedSystem:
-        """An articulated system on a fixed base, from a URDF.
+        """Add an articulated system on a fixed base, from a URDF.
 
-        enforce_limits: whether the engine stops joints at their limits. A system whose targets stay within
-        the limits can do without, and Bullet is half as fast with dozens of joints at their stops.
+        enforce_limits: whether the engine stops joints at their limits. A system whose targets stay within the limits
+        does not need this, and Bullet is half as fast with dozens of joints at their stops.
         """
         model = urdf if isinstance(urdf, UrdfModel) else read_urdf(urdf)
         if mask is None:
@@ -162,42 +162,42 @@ class World:
         return made
 
     def remove(self, item: RigidBody | ArticulatedSystem) -> None:
-        """Take a body or system out of the world."""
+        """Remove a body or system from the world."""
         self.engine_world.remove(item.id)
         self.objects.remove(item)
 
     def get_object(self, name: str) -> RigidBody | ArticulatedSystem:
-        """The first object of that `name`; ValueError says which names there are."""
+        """The first object with that `name`. Raises `ValueError`, with the existing names, if there is none."""
         for item in self.objects:
             if item.name == name:
                 return item
         raise ValueError(f"no object is named {name!r}; there are {sorted({o.name for o in self.objects if o.name})}")
 
     def save(self) -> Snapshot:
-        """Everything that moves and drives: states, controllers, contacts, pending forces, gravity and time.
+        """Snapshot of everything that moves or drives: states, controllers, contacts, pending forces, gravity and time.
 
-        Materials, and which bodies there are, are not in it.
+        Materials and the set of bodies are not included.
         """
         return Snapshot(self, self.engine_world.save(), self.gravity, self.world_time)
 
     def restore(self, snapshot: Snapshot) -> None:
-        """Go back to a snapshot of this world. What follows is the same to the bit each time.
+        """Go back to a snapshot of this world. What follows is identical to the bit each time.
 
-        Raises `EngineError` for another world's snapshot, or when bodies have come or gone since.
+        Raises `EngineError` for a snapshot of another world, or if bodies were added or removed since.
         """
         if snapshot.world is not self:
-            raise EngineError("this snapshot is of another world")
+            raise EngineError("this snapshot belongs to another world")
         self.engine_world.restore(snapshot.engine_state)
         self.set_gravity(snapshot.gravity)
         self.world_time = snapshot.time
 
     def integrate(self, substeps: int = 1) -> None:
-        """Advance by a number of timesteps."""
+        """Advance by `substeps` timesteps."""
         integrate([self], substeps)
 
 
 def integrate(worlds: Sequence[World], substeps: int = 1) -> None:
-    """Advance several worlds of one engine together, which batches their control."""
+    """Advance several worlds of one engine together, so that their control is batched."""
     if not worlds:
         return
     engine = worlds[0].engine

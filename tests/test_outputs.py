@@ -27,10 +27,10 @@ def test_outputs_that_cannot_be_are_refused(tmp_path: Path) -> None:
         ({"--json": new, "--gif": again}, "--gif .* would overwrite what --json writes"),
         ({"--report": label}, r"labels\.npz, which is read"),
         ({"--report": tmp_path / "link.html"}, r"labels\.npz, which is read"),
-        ({"--json": tmp_path / "b"}, "is no file"),
+        ({"--json": tmp_path / "b"}, "is not a file"),
         ({"--json": tmp_path / "none" / "a.json"}, "does not exist"),
-        ({"--json": Path(os.devnull)}, "is no file"),
-        ({"--json": Path("")}, "is no file"),
+        ({"--json": Path(os.devnull)}, "is not a file"),
+        ({"--json": Path("")}, "is not a file"),
     ):
         with pytest.raises(DataError, match=said):
             check_outputs(outputs, [label])

@@ -1,6 +1,6 @@
 """The typed configuration of an experiment, read from YAML with dotted overrides.
 
-Its sections stand in `dgrasp.config.sections`; `cfg/` names experiments.
+Its sections are in `dgrasp.config.sections`; `cfg/` holds named experiments.
 """
 
 from __future__ import annotations
@@ -41,8 +41,8 @@ class Config(Section):
     """One experiment.
 
     engine: default pybullet, or mujoco where PyBullet is not installed.
-    objects: the folder of added objects (`dgrasp object add`) that labels name; null looks at the data's objects/, then
-    at data/objects.
+    objects: the folder of added objects (`dgrasp object add`) that labels name; null searches the data's objects/, then
+    data/objects.
     """
 
     name: Annotated[str, Field(pattern=r"^[^/\\\x00]{1,100}$")] = "dexycb"
@@ -69,25 +69,25 @@ class Config(Section):
 
     @property
     def window_steps(self) -> int:
-        """Control steps of the stability test's window; one at least."""
+        """Control steps of the stability test's window; at least 1."""
         return max(1, control_steps(self.eval.window_s, self.control_period))
 
     def episode_steps(self, epoch: int) -> int:
-        """Control steps of an episode of training in an epoch; the first one is 1."""
+        """Control steps of a training episode in an epoch; epochs count from 1."""
         return self.env.episode_steps + self.env.lengthens_by * self.labels.doublings(epoch)
 
     def learned_steps(self, epoch: int) -> int:
-        """Those of them that the learner sees: in task motion the ones after the grasp."""
+        """Control steps of a training episode that the learner sees; in task motion, those after the grasp."""
         return self.episode_steps(epoch) - (self.env.grasp_steps if self.env.task == "motion" else 0)
 
     def steps_in(self, epoch: int, environments: int) -> int:
-        """Control steps of all environments together in an epoch of training."""
+        """Control steps of all environments together in a training epoch."""
         return self.learned_steps(epoch) * self.labels.in_epoch(epoch, environments)
 
     def last_epoch(self, environments: int, epoch: int = 0, steps: int = 0) -> int:
-        """The last epoch that `ppo.epochs` and `ppo.max_steps` allow; the first, at least.
+        """The last epoch that `ppo.epochs` and `ppo.max_steps` allow; at least 1.
 
-        epoch, steps: how many epochs are made already, and the control steps of all environments in them.
+        epoch, steps: how many epochs are complete already, and the control steps of all environments in them.
         """
         ppo = self.ppo
         if ppo.max_steps is None:
@@ -110,7 +110,7 @@ class Config(Section):
         if hold.first_step is not None and self.env.task != "grasp":
             raise ValueError(f"env.hold.first_step: the table stays in task {self.env.task}; expected null")
         if self.physics.concave == "mesh" and self.engine == "mujoco":
-            raise ValueError("physics.concave: mujoco collides no concave meshes; expected auto or parts, or the "
+            raise ValueError("physics.concave: mujoco does not support concave meshes; expected auto or parts, or the "
                              "engine pybullet")
         if self.ppo.min_learning_rate > self.ppo.max_learning_rate:
             raise ValueError("ppo.min_learning_rate must not exceed ppo.max_learning_rate")
@@ -118,7 +118,7 @@ class Config(Section):
 
 
 def control_steps(seconds: float, control_period: float) -> int:
-    """Control steps in so many seconds, rounded to a whole number."""
+    """Control steps in `seconds`, rounded to a whole number."""
     return round(seconds / control_period)
 
 
@@ -182,12 +182,12 @@ def load_config(path: Path | None, overrides: list[str] | None = None) -> Config
 
 
 def dump_config(config: Config) -> str:
-    """The config as YAML, complete, so that a run can be repeated."""
+    """The complete config as YAML, so that a run can be repeated."""
     return yaml.safe_dump(config.model_dump(mode="json"), sort_keys=False)
 
 
 def find_config(path: Path | None) -> Path | None:
-    """A config file; `cfg/NAME.yaml` also names the one that comes with the package."""
+    """Find a config file: if `cfg/NAME.yaml` does not exist, take the file of that name from the package."""
     if path is None or path.is_file() or path.parent != Path("cfg"):
         return path
     shipped = cfg_root() / path.name

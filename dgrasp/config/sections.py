@@ -1,4 +1,4 @@
-"""The sections of the configuration; every number of the paper's tables of hyperparameters is a default here."""
+"""The sections of the configuration. Every number in the paper's hyperparameter tables is a default here."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ NonNegative = Annotated[float, Field(ge=0)]
 Fraction = Annotated[float, Field(ge=0, le=1)]
 Count = Annotated[int, Field(ge=1, le=10**9)]
 MAX_STEPS = 10_000
-"""Control steps, five minutes, beyond which no episode or window goes: all of them are kept in memory."""
+"""Most control steps of an episode or window (five minutes); all of them are kept in memory."""
 Steps = Annotated[int, Field(ge=1, le=MAX_STEPS)]
 WristError = Literal["euler", "rotation_vector"]
 
@@ -21,11 +21,11 @@ class Section(BaseModel):
 
 
 class LabelsConfig(Section):
-    """Which grasp labels: a release's split by name, or a file; which objects of it.
+    """The grasp labels: a split of a named release, or a file, and which of its objects.
 
     objects: names, numbers, or the paper's sets, "unseen_1" to "unseen_6" and "seen_1" to "seen_6" (docs/labels.md).
-    per_epoch: how many of them, drawn anew, make an epoch of training; null takes all. doubles_every: after so many
-    epochs that number doubles, and after as many again it does once more.
+    per_epoch: number of labels, drawn anew, in each training epoch; null takes all. doubles_every: number of epochs
+    after which per_epoch doubles, again and again; null never doubles it.
     """
 
     source: str = "dexycb"
@@ -36,20 +36,20 @@ class LabelsConfig(Section):
     doubles_every: Count | None = None
 
     def in_epoch(self, epoch: int, total: int) -> int:
-        """How many of `total` labels take part in an epoch; the first one is 1."""
+        """How many of `total` labels take part in an epoch; epochs count from 1."""
         if self.per_epoch is None:
             return total
         return min(self.per_epoch << self.doublings(epoch), total)
 
     def doublings(self, epoch: int) -> int:
         """How often `per_epoch` has doubled by an epoch."""
-        # The limit keeps a long training's numbers from growing without end.
+        # The limit keeps the numbers of a long training from growing without bound.
         return 0 if self.doubles_every is None else min(max(0, epoch - 1) // self.doubles_every, 10)
 
     @field_validator("objects", mode="before")
     @classmethod
     def _names(cls, value: Any) -> Any:
-        # Names are text, and 4 is none.
+        # Names are text; a number such as 4 is not a name.
         if isinstance(value, list) and any(isinstance(name, (int, float)) for name in value):
             raise ValueError("expected names such as 004_sugar_box, or numbers in quotes: ['004']")
         return value
@@ -58,10 +58,10 @@ class LabelsConfig(Section):
 class PhysicsConfig(Section):
     """The simulated world (supplement, section B.1; docs/deviations.md).
 
-    preset: "faithful" is as near to RaiSim as the engine gets; "fast" gives some of that for speed (docs/physics.md).
-    test.py takes "faithful" whatever a run trained with, unless physics.preset is typed.
-    concave: how a release's concave objects collide: "mesh" as the authors' triangles (pybullet alone), "parts" as
-    convex parts cut from them; "auto" is what docs/physics.md found best for object and engine.
+    preset: "faithful" is as close to RaiSim as the engine can be; "fast" trades some of that for speed
+    (docs/physics.md). test.py takes "faithful" whatever a run trained with, unless physics.preset is given.
+    concave: how a release's concave objects collide: "mesh" as the authors' triangles (pybullet only), "parts" as
+    convex parts cut from them; "auto" takes the better one for the object and the engine (docs/physics.md).
     """
 
     timestep: Positive = 0.00222
@@ -76,7 +76,7 @@ class PhysicsConfig(Section):
 
 
 class NoiseConfig(Section):
-    """Uniform reset noise, half-widths: wrist position (x, y and z apart), wrist and finger angles."""
+    """Half-widths of the uniform reset noise: wrist position (m; x and y, and z), wrist and finger angles (rad)."""
 
     wrist_xy: NonNegative = 0.02
     wrist_z: NonNegative = 0.01
@@ -85,7 +85,7 @@ class NoiseConfig(Section):
 
 
 class ActionConfig(Section):
-    """Scale sigma of the residual action and the PD gains (root translation, then all rotations)."""
+    """Scale sigma of the residual action, and the PD gains of the root translation and of all rotations."""
 
     sigma_wrist_position: Positive = 0.001
     sigma_wrist_rotation: Positive = 0.01
@@ -100,7 +100,7 @@ class RewardConfig(Section):
     """Weights of the reward terms (paper, section 3.2.2 and Table of weights; docs/deviations.md).
 
     target_position, target_rotation: alpha_x per m and alpha_q per rad of the distance to the target (supplement,
-    equation of r_m and Table of weights); of the tasks motion and flat alone. Task motion has no other terms.
+    equation of r_m and Table of weights), only in the tasks motion and flat. Task motion has no other terms.
     """
 
     position: float = 2.0
@@ -122,10 +122,11 @@ class RewardConfig(Section):
 
 
 class HoldConfig(Section):
-    """The test's hold as a part of training episodes; first_step: null leaves it out, as in the paper.
+    """The test's hold as a part of training episodes.
 
-    The table goes at a step drawn from first_step to last_step, the wrist is held where it is, and the episode
+    The table is removed at a step drawn from first_step to last_step, the wrist is held where it is, and the episode
     ends when the object has dropped by `drop` (m). `env.reward.hold` is paid for every step until then.
+    first_step: null leaves the hold out, as in the paper.
     """
 
     first_step: Steps | None = None
@@ -136,14 +137,15 @@ class HoldConfig(Section):
 class EnvConfig(Section):
     """The task: episode, components that the paper ablates, reward.
 
-    task: "grasp"; or with a target for the object, a policy of the wrist while a frozen one grasps ("motion"), or one
-    policy of everything ("flat"): the paper's baselines "learned policy" and "Flat-RL" (docs/motion.md).
-    lengthens_by: by so many control steps an episode of training lengthens after every `labels.doubles_every` epochs,
-    if that is not null.
-    wrist_error: how pose error and pose reward measure the wrist: by the difference of Euler angles, as in the paper,
-    or by a rotation vector, which does not jump where an angle passes pi (docs/training.md).
-    scaled_features: bring every feature to order 1 and clamp it. critic_features: the critic also sees how far
-    the episode is and whether the table is gone; the actor does not.
+    task: "grasp" trains a grasping policy. The other two have a target for the object (docs/motion.md): "motion" trains
+    a policy of the wrist while a frozen policy grasps (the paper's baseline "learned policy"), and "flat" trains one
+    policy of everything (its baseline "Flat-RL").
+    lengthens_by: control steps by which a training episode lengthens after every `labels.doubles_every` epochs, if that
+    is not null.
+    wrist_error: how pose error and pose reward measure the wrist: "euler" takes the difference of Euler angles, as the
+    paper does; "rotation_vector" does not jump where an angle passes pi (docs/training.md).
+    scaled_features: scale every feature to order 1 and clamp it. critic_features: the critic also sees how much of the
+    episode has passed and whether the table is gone; the actor does not.
     """
 
     task: Literal["grasp", "motion", "flat"] = "grasp"
@@ -169,14 +171,15 @@ SENSES = ("features", "goal_space", "wrist_error", "scaled_features", "wrist", "
 class MotionConfig(Section):
     """Motion synthesis (paper, section 3.3; supplement, A.2): the wrist carries the object to a 6D target.
 
-    targets: where to: "easy" (the authors'), "near", "ood", "circle", "pour" or a file (docs/motion.md); null tests the
-    grasp alone. per_label: how many targets each grasp is moved to; null takes one of a set, all of a file. steps:
-    control steps of the motion. beta_position, beta_rotation: the gain beta, reached after ramp_position and
-    ramp_rotation control steps in equal steps. stable_alone: leave out grasps that fail the stability test, as the
-    paper does. static_fingers: what the baseline "static grasp" holds, the fingers' pose or their last PD targets.
+    targets: the set "easy" (the authors'), "near", "ood", "circle" or "pour", or a file of targets (docs/motion.md);
+    null tests the grasp alone. per_label: number of targets per grasp; null takes one of a set, all of a file.
+    steps: control steps of the motion. beta_position, beta_rotation: the gain beta, which rises linearly to this value
+    over ramp_position and ramp_rotation control steps. stable_alone: leave out grasps that fail the stability test, as
+    the paper does. static_fingers: what the baseline "static grasp" holds, the fingers' pose or their last PD targets.
 
-    policy: of the tasks motion and flat, the checkpoint of the grasping policy that makes, or chooses, the grasps.
-    sigma_position, sigma_rotation: m and rad that an action of 1 moves the wrist's target in those tasks.
+    policy: in the tasks motion and flat, the checkpoint of the grasping policy that makes the grasps (motion) or
+    chooses them (flat). sigma_position, sigma_rotation: how far (m, rad) an action of 1 moves the wrist's target in
+    those tasks.
     """
 
     targets: str | None = None
@@ -196,12 +199,13 @@ class MotionConfig(Section):
 class PpoConfig(Section):
     """PPO with the paper's hyperparameters (supplement, Table of PPO) and the authors' choices.
 
-    Training ends after `epochs`, with the last epoch that `max_steps` control steps of all environments together allow,
-    or with the first that ends after `max_minutes` since it was begun or resumed; whichever comes first.
-    normalise_returns: the critic learns returns of mean 0 and variance 1. separate_clipping: actor and critic have a
-    gradient norm each. advantages_per_minibatch: normalise them there and not over the epoch. output_gain: of the
-    actor's last layer at the start. threads: of the update on a CPU, during which the workers wait; another number
-    changes the last bits of the weights.
+    Training ends after `epochs`, after the last epoch that fits in `max_steps` control steps of all environments
+    together, or after the first epoch that ends `max_minutes` or more after training began or was resumed, whichever
+    comes first.
+    normalise_returns: the critic learns returns of mean 0 and variance 1. separate_clipping: clip the gradient norms of
+    actor and critic separately. advantages_per_minibatch: normalise advantages per minibatch, not over the epoch.
+    output_gain: initial gain of the actor's last layer. threads: CPU threads of the update, during which the workers
+    wait; another number changes the last bits of the weights.
     """
 
     epochs: Annotated[int, Field(ge=1, le=10**6)] = 10000
@@ -235,9 +239,9 @@ class PpoConfig(Section):
 class PoolConfig(Section):
     """Where the environments run.
 
-    workers: null takes as many as there are cores. hang_s: seconds without a control step after which a
-    worker is taken to hang, and is replaced. For "ray" alone: address of the cluster (auto, HOST:PORT; null starts
-    one on this machine); patience: a worker that takes this many times as long as the others is left behind.
+    workers: null takes as many as there are cores. hang_s: seconds without a control step after which a worker counts
+    as hung and is replaced. For "ray" only: address of the cluster (auto, HOST:PORT; null starts one on this machine);
+    patience: a worker is left behind once it takes this many times as long as the median of those that have finished.
     """
 
     kind: Literal["process", "serial", "ray"] = "process"
@@ -248,7 +252,7 @@ class PoolConfig(Section):
 
 
 class CheckpointConfig(Section):
-    """Checkpoints: one every `every` epochs, of which the last `keep` stay."""
+    """Checkpoints: one every `every` epochs, the last `keep` are kept."""
 
     every: Count = 10
     keep: Count = 5
@@ -257,8 +261,9 @@ class CheckpointConfig(Section):
 class EvalConfig(Section):
     """Periodic deterministic evaluation in training, the window of the stability test, and what a test measures.
 
-    interpenetration: measure it in a test. mano: the MANO file that the hand was made from, whose skin it is measured
-    on then, instead of the free hand's own skin, or else the hand's part meshes or collision shapes.
+    interpenetration: measure it in a test. mano: the MANO file that the hand was made from; interpenetration is then
+    measured on its skin. Otherwise it is measured on the free hand's own skin, or else on the hand's part meshes or
+    collision shapes.
     """
 
     every: Count = 25

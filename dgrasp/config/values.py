@@ -1,4 +1,4 @@
-"""Plain values of a config: read from YAML, with dotted `key=value` overrides laid over them."""
+"""Plain values of a config, read from YAML and changed by dotted `key=value` overrides."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def _number(loader: _ConfigLoader, node: yaml.ScalarNode) -> int | float:
     if base != 10:
         place = f"line {node.start_mark.line + 1}: " if node.start_mark.line else ""
         raise ConfigError(f"{place}YAML reads {node.value[:40]} in base {base}; expected a decimal number without "
-                          f"leading zeros and colons, or for a text quotes: '{node.value[:40]}'")
+                          f"leading zeros or colons, or quoted text: '{node.value[:40]}'")
     return loader.construct_yaml_float(node) if is_float else loader.construct_yaml_int(node)
 
 
@@ -52,7 +52,7 @@ _ConfigLoader.add_constructor("tag:yaml.org,2002:float", _number)
 
 
 def parse_yaml(text: str, where: str) -> Any:
-    """The values of a YAML text; `where` names it in errors."""
+    """The values of a YAML text; `where` names its source in errors."""
     try:
         return yaml.load(text, Loader=_ConfigLoader)
     except ConfigError as error:
@@ -62,7 +62,7 @@ def parse_yaml(text: str, where: str) -> Any:
 
 
 def apply_overrides(values: dict[str, Any], overrides: list[str]) -> dict[str, Any]:
-    """`values` with dotted `key=value` overrides laid over them; the values are YAML."""
+    """A copy of `values`, changed by dotted `key=value` overrides; the overrides' values are YAML."""
     merged = _copy(values)
     for item in overrides:
         key, separator, text = item.partition("=")
@@ -80,12 +80,12 @@ def apply_overrides(values: dict[str, Any], overrides: list[str]) -> dict[str, A
 
 
 def override(key: str, value: Any) -> str:
-    """The override `key=value` that sets a dotted key to a plain value, such as a text or a list of them."""
+    """The override `key=value` that sets a dotted key to a plain value, such as text or a list of texts."""
     return f"{key}={json.dumps(value)}"
 
 
 def flat_keys(values: Mapping[Any, Any], prefix: str = "") -> dict[str, Any]:
-    """Nested mappings as one with dotted keys: {"ppo": {"epochs": 6}} as {"ppo.epochs": 6}."""
+    """Nested mappings as one mapping with dotted keys: {"ppo": {"epochs": 6}} as {"ppo.epochs": 6}."""
     flat: dict[str, Any] = {}
     for key, value in values.items():
         name = f"{prefix}{key}"

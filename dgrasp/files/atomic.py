@@ -1,4 +1,4 @@
-"""Write files so that a reader sees the old content or the new one, never a part, whatever stops the program."""
+"""Write files so that a reader sees the old content or the new, never a part, whatever stops the program."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ from pathlib import Path
 from dgrasp.errors import DataError
 
 TEMPORARY = ".*.tmp"
-"""Pattern of the names under which files are written first; a killed process may leave one behind."""
+"""Pattern of the temporary names under which files are first written; a killed process may leave one behind."""
 
 
 def write_atomic(path: Path, content: bytes | str) -> None:
-    """Replace `path` by `content` (text as UTF-8) in one step, making its folder where needed.
+    """Replace the content of `path` (text as UTF-8) in one step, making its folder if needed.
 
-    The content is on the disk when this returns. A link keeps its place; the file that it points to is replaced.
-    Raises `DataError` naming the path where it cannot be written, on a full disk for example; the old file stays then,
-    and no temporary one.
+    The content is on the disk when this returns. If `path` is a link, the link stays and its target is replaced.
+    Raises a `DataError` that names the path if it cannot be written, for example on a full disk; the old file then
+    stays, and no temporary file remains.
     """
     target = Path(os.path.realpath(path))
     raw = content.encode("utf-8") if isinstance(content, str) else content
@@ -30,16 +30,16 @@ def write_atomic(path: Path, content: bytes | str) -> None:
             stream.write(raw)
             stream.flush()
             os.fsync(stream.fileno())
-        # mkstemp makes files for their owner alone; give the usual mode instead.
+        # mkstemp makes files that only their owner may read; set the usual mode instead.
         umask = os.umask(0)
         os.umask(umask)
         os.chmod(temporary, 0o666 & ~umask)
         os.replace(temporary, target)
     except OSError as error:
-        raise DataError(f"{path}: cannot be written ({error.strerror or error}); what was there before is unharmed. "
+        raise DataError(f"{path}: cannot be written ({error.strerror or error}); any existing file is unharmed. "
                         "Free some space or choose another folder") from None
     finally:
-        # After the replacement the temporary name is gone; it still exists only where something failed.
+        # After the replacement the temporary name is gone; it still exists only if something failed.
         if temporary:
             with contextlib.suppress(OSError):
                 os.unlink(temporary)
@@ -47,7 +47,7 @@ def write_atomic(path: Path, content: bytes | str) -> None:
 
 
 def _sync_folder(folder: Path) -> None:
-    """Make a new name in a folder survive a power cut; some file systems cannot be asked for it."""
+    """Make a new name in a folder survive a power cut; some file systems do not support this."""
     with contextlib.suppress(OSError):
         handle = os.open(folder, os.O_RDONLY)
         try:

@@ -1,7 +1,7 @@
-"""Read label pickles written by joblib without ever running what a pickle says.
+"""Read label pickles written by joblib without executing anything in them.
 
 joblib stores a dictionary of arrays as a pickle in which each array is a `NumpyArrayWrapper` followed by
-the array's raw bytes. `dgrasp.files.pickles` refuses everything that such a file does not need.
+the array's raw bytes. `dgrasp.files.pickles` refuses everything else.
 """
 
 from __future__ import annotations
@@ -14,11 +14,11 @@ from dgrasp.errors import DataError
 from dgrasp.files.pickles import NUMPY_GLOBALS, Globals, RestrictedUnpickler, array_layout, read_pickle
 
 MAX_FILE_BYTES = 256 * 2**20
-"""Largest label file that is read (the authors' largest has 1.1 MB)."""
+"""Largest label file that is read (the authors' largest is 1.1 MB)."""
 
 
 class _ArrayWrapper:
-    """What joblib leaves in the pickle in place of an array; filled in by the BUILD opcode."""
+    """joblib's placeholder for an array in the pickle; the BUILD opcode fills it in."""
 
 
 class _LabelUnpickler(RestrictedUnpickler):

@@ -1,4 +1,4 @@
-"""Read .npz archives of plain numbers and texts: sizes are known to be small and true before anything is unpacked."""
+"""Read .npz archives of plain numbers and text. Sizes are checked before anything is unpacked."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ MAX_MEMBERS = 1000
 
 
 class NpzArchive:
-    """An open archive. names: its members' file names, such as "T_WO.npy", in its order."""
+    """An open archive. names: its members' file names, such as "T_WO.npy", in the archive's order."""
 
     def __init__(self, path: Path, archive: zipfile.ZipFile) -> None:
         self._path, self._archive = path, archive
@@ -27,10 +27,10 @@ class NpzArchive:
         self.names = [entry.filename for entry in self._entries]
 
     def read(self, name: str, kinds: str) -> Array:
-        """The array of `name` (without .npy), of a dtype of these kinds; its header must announce just its bytes."""
+        """The array `name` (without .npy), of a dtype of these kinds; its header must announce its exact size."""
         entry = self._entries[self.names.index(f"{name}.npy")]
         with self._archive.open(entry) as stream:
-            # At most as many bytes as announced: a read without a number unpacks first and cuts later.
+            # Read at most one byte more than announced: a read without a limit unpacks everything first and cuts later.
             raw = stream.read(entry.file_size + 1)
         content = io.BytesIO(raw)
         if np.lib.format.read_magic(content) != (1, 0):
@@ -40,7 +40,7 @@ class NpzArchive:
         if dtype.kind not in kinds or math.prod(shape) * dtype.itemsize != left:
             wanted = _KINDS.get(kinds, f"numbers of kind {kinds!r}")
             raise DataError(f"{self._path}: {name} announces {str(shape)[:100]} of {dtype.str[:100]}, with {left} "
-                            f"bytes; expected {wanted} of just that size")
+                            f"bytes; expected {wanted} of exactly that size")
         content.seek(0)
         array: Array = np.load(content, allow_pickle=False)
         return array
@@ -48,9 +48,9 @@ class NpzArchive:
 
 @contextmanager
 def open_npz(path: Path, kind: str, max_bytes: int) -> Iterator[NpzArchive]:
-    """The archive, at most `max_bytes` on disk and when unpacked. kind: what the file is, for messages.
+    """Open an archive of at most `max_bytes`, on disk and unpacked. kind: what the file is, for messages.
 
-    Whatever goes wrong, here or in the `with` block, becomes a `DataError` that names the file.
+    Any error here or in the `with` block becomes a `DataError` that names the file.
     """
     path = Path(path)
     try:

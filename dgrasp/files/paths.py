@@ -1,6 +1,6 @@
-"""Where the files lie that come with the package, `cfg/` and `data/`, and those that it makes for a user.
+"""The folders of the files that come with the package, `cfg/` and `data/`, and of those that it makes for a user.
 
-In a checkout they stand next to the package; a wheel carries them inside, in `dgrasp/_bundled/`.
+In a checkout, `cfg/` and `data/` are next to the package; in a wheel, they are in `dgrasp/_bundled/`.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ _BUNDLED = PACKAGE / "_bundled"
 
 def is_checkout() -> bool:
     """Whether the package runs from its source tree."""
-    # Only a wheel has the bundled folder; a neighbour called data/ proves nothing in site-packages.
+    # Only a wheel has the bundled folder. A folder data/ next to the package proves nothing in site-packages.
     return not _BUNDLED.is_dir()
 
 
@@ -37,19 +37,19 @@ def cfg_root() -> Path:
 
 
 def user_data_root() -> Path:
-    """Where users put data of their own: the checkout's `data/`, or `data/` in the current folder."""
+    """The folder for users' own data: the checkout's `data/`, or `data/` in the current folder."""
     return data_root() if is_checkout() else Path.cwd() / "data"
 
 
 def user_cache_root() -> Path:
-    """Where things are kept that can be made anew: DGRASP_CACHE, else the platform's folder for caches."""
+    """The folder for files that can be made again: DGRASP_CACHE, else the platform's folder for caches."""
     if os.environ.get("DGRASP_CACHE"):
         return Path(os.environ["DGRASP_CACHE"]).expanduser().absolute()
     if sys.platform == "win32":
         return Path(os.environ.get("LOCALAPPDATA") or Path.home() / "AppData" / "Local") / "dgrasp" / "Cache"
     if sys.platform == "darwin":
         return Path.home() / "Library" / "Caches" / "dgrasp"
-    # By the XDG specification a relative path there is to be ignored.
+    # The XDG specification says to ignore a relative path here.
     base = Path(os.environ.get("XDG_CACHE_HOME", ""))
     return (base if base.is_absolute() else Path.home() / ".cache") / "dgrasp"
 

@@ -1,9 +1,9 @@
-"""Read pickles of plain data and arrays without ever running what they say.
+"""Read pickles of plain data and arrays without executing anything in them.
 
-An unpickler with two allow-lists: the globals that its kind of file needs, each answered by a harmless
-stand-in, and the opcodes that plain data needs. Everything else is refused, so a tampered file can be wrong but
-cannot execute code, and cannot make the reader hang or crash: keys of dictionaries are text and numbers only,
-because the hash of a tuple that holds itself twice, forty times over, never ends.
+The unpickler has two allow-lists: the globals that its kind of file needs, each replaced by a harmless stand-in, and
+the opcodes that plain data needs. It refuses everything else. A tampered file can hold wrong data, but it cannot
+execute code or make the reader hang or crash. Keys of dictionaries may only be text and numbers: a tuple that holds
+the same tuple twice, and so on forty levels deep, has a hash that takes practically forever.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ class DtypeStub:
 
 
 def _scalar(dtype: Any, raw: Any) -> Any:
-    """numpy's pickled scalar: a dtype and its bytes, which Python 2 writes as a text."""
+    """numpy's pickled scalar: a dtype and its bytes, which Python 2 writes as text."""
     raw = raw.encode("latin1") if isinstance(raw, str) else raw
     if not isinstance(dtype, DtypeStub) or not isinstance(raw, bytes):
         raise DataError("malformed numpy scalar")
@@ -62,11 +62,11 @@ NUMPY_GLOBALS: Globals = {
     ("numpy.core.multiarray", "scalar"): _scalar,
     ("numpy._core.multiarray", "scalar"): _scalar,
 }
-"""What every file with arrays of numpy needs."""
+"""The globals that every file with numpy arrays needs."""
 
 
 def array_layout(shape: Any, stub: Any, order: Any) -> tuple[tuple[int, ...], np.dtype[Any]]:
-    """The checked shape and dtype of a pickled array's header; a `DataError` for anything but plain numbers."""
+    """The checked shape and dtype of a pickled array's header; a `DataError` for anything except plain numbers."""
     if not isinstance(stub, DtypeStub) or order not in ("C", "F"):
         raise DataError("malformed array header")
     if not (isinstance(shape, tuple) and all(isinstance(n, int) and 0 <= n < 2**31 for n in shape)):
@@ -86,24 +86,24 @@ PLAIN_OPCODES = (
     "BINUNICODE", "SHORT_BINUNICODE", "SHORT_BINBYTES", "BINBYTES",
     "EMPTY_TUPLE", "TUPLE", "TUPLE1", "TUPLE2", "TUPLE3", "EMPTY_LIST", "APPEND", "APPENDS", "EMPTY_DICT",
 )
-"""Opcodes of the binary protocols that build plain data; each is the standard library's own."""
+"""Opcodes of the binary protocols that build plain data; each uses the standard library's handler."""
 
 Dispatch = dict[int, Callable[[Any], None]]
 
 
 MAX_STEPS = 1_000_000
-"""Most opcodes of one file: each may make an object of some ten bytes out of one, so they bound memory and time."""
+"""Most opcodes in one file. One byte may become an object of some ten bytes, so this bounds memory and time."""
 
 
 class _Opcodes(dict[int, Callable[[Any], None]]):
-    """The opcodes that a file may use, and how many more of them; looking up another one raises."""
+    """The opcodes that a file may use, and how many more of them. Looking up any other opcode raises `DataError`."""
 
     left = MAX_STEPS
 
     def __getitem__(self, code: int) -> Callable[[Any], None]:
         self.left -= 1
         if self.left < 0:
-            raise DataError(f"more than {MAX_STEPS} steps to build its content; such a file needs some thousand")
+            raise DataError(f"more than {MAX_STEPS} steps to build its content; such a file needs a few thousand")
         return super().__getitem__(code)
 
     def __missing__(self, code: int) -> Any:
@@ -150,14 +150,14 @@ def _load_dict(self: RestrictedUnpickler) -> None:
 def _set_items(stack: list[Any], items: list[Any]) -> None:
     target, keys = stack[-1], items[::2]
     if not isinstance(target, dict) or not all(type(key) in (str, int) for key in keys):
-        raise DataError("the pickle sets items other than a dictionary's by text and numbers")
+        raise DataError("the pickle sets items of something else than a dictionary with keys of text and numbers")
     target.update(zip(keys, items[1::2], strict=True))
 
 
 class RestrictedUnpickler(pickle._Unpickler):
     """Pure-Python unpickler with an allow-list of globals and one of opcodes.
 
-    A subclass names its `allowed` globals and, where `PLAIN_OPCODES` do not do, its `handlers`.
+    A subclass names its `allowed` globals and, if `PLAIN_OPCODES` are not enough, its `handlers`.
     """
 
     stack: list[Any]
@@ -181,9 +181,9 @@ class RestrictedUnpickler(pickle._Unpickler):
             ) from None
 
     def array(self, raw: bytes, shape: tuple[int, ...], dtype: np.dtype[Any], order: Any) -> np.ndarray:
-        """The array of raw bytes, which must be just as many as the header announces.
+        """The array from raw bytes, whose number must be the one that the header announces.
 
-        All arrays together are no larger than the file, so that no bytes are used twice to fill the memory.
+        All arrays together may not be larger than the file, so that no file can fill the memory by using bytes twice.
         """
         expected = math.prod(shape) * dtype.itemsize
         self._unbuilt -= len(raw)
@@ -193,7 +193,7 @@ class RestrictedUnpickler(pickle._Unpickler):
         return np.frombuffer(raw, dtype=dtype).reshape(shape, order=order).astype(dtype.newbyteorder("="))
 
     def build(self, target: Any, state: Any) -> Any:
-        """What stands on the stack after `state` was given to `target`."""
+        """The object that replaces `target` on the stack once `state` is set on it."""
         if not isinstance(target, DtypeStub):
             raise DataError(f"the pickle sets state on a {type(target).__name__}; only arrays are expected")
         target.__setstate__(state)
@@ -201,7 +201,7 @@ class RestrictedUnpickler(pickle._Unpickler):
 
 
 class _ArrayStub:
-    """What `_reconstruct` leaves; BUILD replaces it by the array."""
+    """The placeholder that `_reconstruct` returns; BUILD replaces it with the array."""
 
 
 def _reconstruct(kind: Any, shape: Any, code: Any) -> _ArrayStub:
@@ -211,14 +211,14 @@ def _reconstruct(kind: Any, shape: Any, code: Any) -> _ArrayStub:
 
 
 class ArrayUnpickler(RestrictedUnpickler):
-    """Reads arrays as numpy pickles them itself, by `_reconstruct` and their bytes, from Python 2 or 3."""
+    """Reads arrays that numpy itself pickled, as `_reconstruct` and their bytes, in Python 2 or 3."""
 
     allowed: ClassVar[Globals] = {
         **NUMPY_GLOBALS,
         ("numpy.core.multiarray", "_reconstruct"): _reconstruct,
         ("numpy._core.multiarray", "_reconstruct"): _reconstruct,
     }
-    # Texts and array bytes of Python 2 are its 8-bit strings.
+    # In Python 2, text and the bytes of arrays are 8-bit strings.
     handlers = opcodes((*PLAIN_OPCODES, "SHORT_BINSTRING", "BINSTRING"))
 
     def build(self, target: Any, state: Any) -> Any:
@@ -239,7 +239,7 @@ class ArrayUnpickler(RestrictedUnpickler):
 def read_pickle(path: Path, unpickler: type[RestrictedUnpickler], kind: str, max_bytes: int, starts: bytes) -> Any:
     """The object of a pickle file, read by `unpickler`.
 
-    kind: what the file is, for messages. starts: the file's first byte is one of these. Raises `DataError` naming
+    kind: what the file is, for messages. starts: the file's first byte must be one of these. Raises `DataError` naming
     the file for a missing, oversized, truncated or tampered file.
     """
     path = Path(path)
@@ -259,5 +259,5 @@ def read_pickle(path: Path, unpickler: type[RestrictedUnpickler], kind: str, max
     except RecursionError:
         raise DataError(f"{path}: damaged {kind} (nested too deeply)") from None
     except Exception as error:
-        # A mutated stream can fail in any opcode; whatever it raises, the file is of no use.
+        # A mutated stream can fail in any opcode; whatever it raises, the file cannot be used.
         raise DataError(f"{path}: damaged {kind} ({type(error).__name__}: {str(error)[:200]})") from None

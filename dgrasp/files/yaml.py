@@ -1,4 +1,4 @@
-"""Read small YAML files of plain data, such as DexYCB's, which hold `!!python/tuple` and nothing else of Python."""
+"""Read small YAML files of plain data, such as DexYCB's, whose only Python tag is `!!python/tuple`."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ MAX_BYTES = 50_000
 
 
 class _Loader(yaml.SafeLoader):
-    """SafeLoader with tuples; keys are plain words, each once.
+    """SafeLoader with tuples. Keys must be plain words, each used once.
 
-    Keys made of collections, and merged mappings, can be nested through aliases so that their hash or their size
-    doubles with every line.
+    Collections as keys and merged mappings are refused: nested through aliases, their hash or their size can double
+    with every line.
     """
 
     def construct_mapping(self, node: Any, deep: bool = False) -> dict[Any, Any]:
@@ -65,7 +65,7 @@ def read_yaml(path: Path) -> dict[Any, Any]:
 
 
 def numbers(value: Any, counts: range, where: str) -> Array:
-    """A list or tuple of finite numbers as float64; how many of them must be in `counts`. Else `DataError`."""
+    """A list or tuple of finite numbers as float64; their count must be in `counts`. Raises `DataError` otherwise."""
     if isinstance(value, (list, tuple)) and len(value) in counts:
         plain = all(isinstance(v, (int, float)) and not isinstance(v, bool) and abs(v) <= 1e6 for v in value)
         if plain:

@@ -1,7 +1,7 @@
 """A part's mesh as one simple collision shape: a capsule, a box, or its convex hull; and how well it fits.
 
-The fit maximises the overlap |A and B| / |A or B| of the two solids (intersection over union), counted on points
-inside the mesh, from the principal axes as a start.
+The fit maximises the overlap |A and B| / |A or B| of the two solids (intersection over union), estimated on points
+inside the mesh. It starts from the principal axes.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from raisim_like.shapes import Shape
 
 _FIT_POINTS, _REPORT_POINTS = 6_000, 60_000
 _SMALLEST = 1e-4
-"""m; no size below it."""
+"""Smallest size of a shape, m."""
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,7 @@ def fit_capsule(part: PartMesh) -> Fit:
     """The capsule that overlaps a part best."""
     points, center, axes, extent = _principal(part)
     axis, length, volume = axes[:, 2], float(extent[2]), part.volume
-    # As long as the part and of its volume: pi r^2 length - 2/3 pi r^3, which grows up to the ball r = length / 2.
+    # The start has the part's length and volume: pi r^2 length - 2/3 pi r^3, which grows up to r = length / 2 (a ball).
     low, high = 0.0, length / 2
     for _ in range(60):
         middle = (low + high) / 2
@@ -69,7 +69,7 @@ def fit_box(part: PartMesh) -> Fit:
     points, center, axes, _ = _principal(part)
     volume = part.volume
     found = []
-    # A part nearly as broad as long has no principal axes worth the name in its plane: try three directions there.
+    # If a part is nearly as broad as long, its principal axes in that plane are arbitrary: try three directions.
     for angle in (0.0, math.pi / 6, math.pi / 3):
         frame = axes @ Rotation.from_rotvec([angle, 0.0, 0.0]).as_matrix()
 
@@ -79,7 +79,7 @@ def fit_box(part: PartMesh) -> Fit:
             inside = (np.abs(local) <= np.abs(x[3:6]) / 2).all(axis=1)
             return _union(inside, volume, float(np.prod(np.abs(x[3:6]))))
 
-        # A box with the points' variances.
+        # The start is a box with the points' variances.
         size = np.sqrt(12.0 * ((points - center) @ frame).var(axis=0))
         start = np.concatenate([center, size, np.zeros(3)])
         best, value = _climb(common, start, np.array([3e-3] * 3 + [4e-3] * 3 + [0.1] * 3))
@@ -102,13 +102,13 @@ def fit_hull(part: PartMesh, file: Path) -> tuple[Fit, PartMesh]:
     inward = ((a - inner) * np.cross(b - a, c - a)).sum(axis=1) < 0
     faces[inward] = faces[inward][:, ::-1]
     mesh = PartMesh(part.name, vertices, faces)
-    # The mesh lies inside its hull, so they have the mesh's volume in common.
+    # The mesh lies inside its hull, so their intersection has the mesh's volume.
     return Fit(Shape("hull", file=file), part.volume / mesh_volume(vertices, faces)), mesh
 
 
 def part_properties(part: PartMesh) -> MassProperties:
     """Volume, centre of mass and inertia of a part's mesh at density 1, in the part's frame."""
-    import trimesh  # Late: it takes a second to import.
+    import trimesh  # Imported late: it takes a second.
 
     mesh = trimesh.Trimesh(part.vertices, part.faces, process=False)
     return MassProperties(part.volume, np.array(mesh.center_mass), np.array(mesh.moment_inertia))
@@ -128,7 +128,7 @@ def _union(inside: Array, volume: float, other: float) -> float:
 
 
 def _climb(value: Callable[[Array], float], start: Array, steps: Array) -> tuple[Array, float]:
-    """Where near `start` (K,) the value is largest, by Nelder and Mead from first steps (K,); and the value."""
+    """The point near `start` (K,) with the largest value, and that value: Nelder-Mead with initial steps (K,)."""
     found = minimize(
         lambda x: -value(x), start, method="Nelder-Mead",
         options={"maxiter": 100 * len(start), "initial_simplex": np.vstack([start, start + np.diag(steps)]),
@@ -150,7 +150,7 @@ def _principal(part: PartMesh) -> tuple[Array, Array, Array, Array]:
 
 
 def _capsule(x: Array) -> Shape:
-    """x: both ends of the straight part (3,) and the radius."""
+    """The capsule of x: both ends of the straight part (3,) and the radius."""
     axis = x[3:6] - x[:3]
     length = max(float(np.linalg.norm(axis)), _SMALLEST)
     direction = axis / length if length > _SMALLEST else np.array([0.0, 0.0, 1.0])
@@ -161,7 +161,7 @@ def _capsule(x: Array) -> Shape:
 
 
 def _box(x: Array, frame: Array) -> Shape:
-    """x: centre (3,), full lengths (3,) and a rotation vector (3,) from the columns of `frame`."""
+    """The box of x: centre (3,), full lengths (3,) and a rotation vector (3,) relative to the columns of `frame`."""
     size = tuple(np.maximum(np.abs(x[3:6]), _SMALLEST).tolist())
     return _placed("box", size, x[:3], frame @ Rotation.from_rotvec(x[6:9]).as_matrix())
 

@@ -1,4 +1,4 @@
-"""Triangles made into a closed surface: vertices merged, holes capped, wound outwards."""
+"""Make triangles into a closed surface: merge vertices, cap holes, wind faces outwards."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ from dgrasp.errors import DataError
 from dgrasp.types import Array
 
 MERGE_DISTANCE = 1e-7
-"""m. Vertices that agree to this much are one: files repeat a vertex for every face or texture."""
+"""m. Vertices that agree to this precision are merged; files repeat a vertex for every face or texture."""
 
 
 @dataclass(frozen=True, eq=False)
 class ClosedMesh:
-    """A surface in which every edge is passed as often one way as the other.
+    """A surface whose faces pass every edge equally often in both directions.
 
-    vertices (V, 3) m, faces (F, 3) wound outwards. holes: how many were capped.
+    vertices (V, 3) m, faces (F, 3) wound outwards. holes: the number of capped holes.
     """
 
     vertices: Array
@@ -26,13 +26,13 @@ class ClosedMesh:
 
     @property
     def volume(self) -> float:
-        """m^3; what a surface encloses twice counts twice."""
+        """Enclosed volume, m^3; what the surface encloses twice counts twice."""
         return signed_volume(self.vertices, self.faces)
 
 
 def signed_volume(vertices: Array, faces: Array) -> float:
-    """m^3 that closed faces, wound outwards, enclose; negative where they are wound inwards."""
-    # Counted from the middle, not from a far origin, to keep the digits.
+    """Volume (m^3) that closed faces, wound outwards, enclose; negative if they are wound inwards."""
+    # Relative to the mean vertex, because a distant origin would cost digits.
     a, b, c = np.moveaxis(vertices[faces] - vertices.mean(axis=0), 1, 0)
     return float((a * np.cross(b, c)).sum() / 6.0)
 
@@ -40,8 +40,8 @@ def signed_volume(vertices: Array, faces: Array) -> float:
 def close_mesh(vertices: Array, faces: Array) -> ClosedMesh:
     """The closed surface of triangles: vertices (V, 3) m and faces (F, 3).
 
-    Every hole gets a fan from its rim to the rim's mean, exact for a flat hole. Two rims that share a vertex are one
-    hole. Raises `DataError` for triangles that enclose nothing.
+    A fan from its rim to the rim's mean caps every hole, which is exact for a flat hole. Two rims that share a vertex
+    are one hole. Raises `DataError` for triangles that enclose nothing.
     """
     vertices, faces = _merged(np.asarray(vertices, dtype=float), np.asarray(faces, dtype=np.int64))
     rims = _open_edges(faces, len(vertices))
@@ -57,12 +57,12 @@ def close_mesh(vertices: Array, faces: Array) -> ClosedMesh:
 
 
 def is_closed(faces: Array, n_vertices: int) -> bool:
-    """Whether every edge is passed as often one way as the other."""
+    """Whether the faces pass every edge equally often in both directions."""
     return not len(_open_edges(np.asarray(faces, dtype=np.int64), n_vertices))
 
 
 def _merged(vertices: Array, faces: Array) -> tuple[Array, Array]:
-    """The same triangles on distinct vertices, without those that have no area left."""
+    """The same triangles on distinct vertices, without those that lose their area."""
     _, first, index = np.unique(np.round(vertices / MERGE_DISTANCE), axis=0, return_index=True, return_inverse=True)
     faces = index.reshape(-1)[faces]
     a, b, c = faces.T
@@ -70,7 +70,7 @@ def _merged(vertices: Array, faces: Array) -> tuple[Array, Array]:
 
 
 def _open_edges(faces: Array, n_vertices: int) -> Array:
-    """(E, 2) edges from a to b that no face passes from b to a, each as often as it lacks its counterpart."""
+    """(E, 2) edges from a to b without a counterpart from b to a, each as often as a counterpart is missing."""
     edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
     low, high = edges.min(axis=1), edges.max(axis=1)
     keys, index = np.unique(low * n_vertices + high, return_inverse=True)
@@ -90,6 +90,6 @@ def _fans(vertices: Array, rims: Array) -> tuple[Array, Array, int]:
     links = coo_array((np.ones(len(edges)), (edges[:, 0], edges[:, 1])), shape=(len(on_rim), len(on_rim)))
     count, rim = connected_components(links, directed=False)
     middles = np.stack([vertices[on_rim[rim == k]].mean(axis=0) for k in range(count)])
-    # A cap's edges run against those of the faces that it meets.
+    # A cap's edges run opposite to those of the faces that it meets.
     caps = np.column_stack([rims[:, 1], rims[:, 0], len(vertices) + rim[edges[:, 0]]])
     return np.concatenate([vertices, middles]), caps, int(count)

@@ -1,4 +1,4 @@
-"""The signed distance to a closed surface on a grid of points, for any mesh, built once and then looked up."""
+"""The signed distance to the closed surface of any mesh, computed once on a grid of points and then looked up."""
 
 from __future__ import annotations
 
@@ -11,22 +11,22 @@ from dgrasp.geometry.winding import winding_grid
 from dgrasp.types import Array
 
 PITCH = 0.003
-"""m between the grid's points."""
+"""Spacing of the grid's points, m."""
 MARGIN = 0.03
-"""m of grid around the surface's bounding box."""
+"""Margin of the grid around the surface's bounding box, m."""
 MAX_POINTS = 500_000
-"""Points of a grid; the pitch of a larger object grows until it has so few."""
+"""Most points of a grid; for a larger object the pitch is increased."""
 _NEAREST = 3
 _ASKEW = np.array([0.137, 0.271, 0.393])
 _FAR = 0.021
-"""m. From farther away the nearest sample stands for the surface."""
+"""m. Beyond this distance the nearest sample stands for the surface."""
 
 
 @dataclass(frozen=True, eq=False)
 class DistanceGrid:
-    """values[i, j, k] (X, Y, Z) m: signed distance, negative inside, of the point low + pitch * (i, j, k).
+    """Signed distances, negative inside, on a grid in the body's frame.
 
-    low (3,) m, in the body's frame.
+    values: (X, Y, Z) m; values[i, j, k] is that of the point low + pitch * (i, j, k). low: (3,) m. pitch: m.
     """
 
     low: Array
@@ -35,28 +35,28 @@ class DistanceGrid:
 
     @property
     def high(self) -> Array:
-        """(3,) m: the last point."""
+        """(3,) m: the last point of the grid."""
         return np.asarray(self.low + self.pitch * (np.array(self.values.shape) - 1))
 
 
 def distance_grid(body: Body, pitch: float = PITCH, margin: float = MARGIN) -> DistanceGrid:
-    """The grid of a body. Distances are exact up to 0.018 m, and by less than a pitch too large beyond.
+    """The grid of a body. Distances are exact up to 0.018 m; beyond, they are too large by less than a pitch.
 
-    Inside a union of solids it is the depth below the union's surface, not below that of one solid.
+    Inside a union of solids the distance is the depth below the union's surface, not below that of one solid.
     """
-    import trimesh  # Late: it takes a second.
+    import trimesh  # Imported late: it takes a second.
     from scipy.spatial import cKDTree
 
     vertices, faces = body.surface()
     low, high = vertices.min(axis=0) - margin, vertices.max(axis=0) + margin
-    # No ray of the winding numbers shall run along a face.
+    # This keeps the rays of the winding numbers from running along a face.
     low -= pitch * _ASKEW
     pitch = max(pitch, float((np.prod(high - low) / MAX_POINTS) ** (1 / 3)))
     counts = np.ceil((high - low) / pitch).astype(int) + 1
     size = (int(counts[0]), int(counts[1]), int(counts[2]))
     axes = [start + pitch * np.arange(n) for start, n in zip(low, size, strict=True)]
     points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
-    # Samples, as dense as the grid, lead to the nearest triangles.
+    # Samples that are as dense as the grid lead to the nearest triangles.
     corners, pieces, owner = trimesh.remesh.subdivide_to_size(
         vertices, faces, max_edge=pitch, max_iter=20, return_index=True
     )
@@ -71,7 +71,7 @@ def distance_grid(body: Body, pitch: float = PITCH, margin: float = MARGIN) -> D
 
 
 def _inside(vertices: Array, faces: Array, low: Array, pitch: float, size: tuple[int, int, int]) -> Array:
-    """(X, Y, Z) bool by rays along all three axes: one that runs along a sliver may be wrong, two are not."""
+    """(X, Y, Z) bool, by vote of rays along the three axes: one may be wrong where it runs along a sliver."""
     votes = np.zeros(size, int)
     for axis in range(3):
         order = [axis, (axis + 1) % 3, (axis + 2) % 3]
@@ -82,7 +82,7 @@ def _inside(vertices: Array, faces: Array, low: Array, pitch: float, size: tuple
 
 
 def triangle_distances(triangles: Array, points: Array) -> Array:
-    """(P,) m: how far each point (P, 3) is from the triangle (P, 3, 3) with it."""
+    """(P,) m: the distance of each point (P, 3) from its own triangle (P, 3, 3)."""
     a, b, c = triangles[:, 0], triangles[:, 1], triangles[:, 2]
     squared = np.minimum(_edge(a, b, points), np.minimum(_edge(b, c, points), _edge(c, a, points)))
     u, v, w = b - a, c - a, points - a
@@ -96,7 +96,7 @@ def triangle_distances(triangles: Array, points: Array) -> Array:
 
 
 def _edge(a: Array, b: Array, points: Array) -> Array:
-    """(P,) m^2 from points to segments."""
+    """(P,) m^2: squared distances of points from segments a to b."""
     along, offset = b - a, points - a
     share = (offset * along).sum(axis=1) / np.maximum((along * along).sum(axis=1), 1e-30)
     gap = offset - share.clip(0.0, 1.0)[:, None] * along

@@ -1,4 +1,4 @@
-"""Whether contacts can hold an object against its weight by friction: a grasp that they cannot is none."""
+"""Whether contacts can hold an object against its weight by friction; without that there is no grasp."""
 
 from __future__ import annotations
 
@@ -8,16 +8,17 @@ from scipy.optimize import linprog
 from dgrasp.types import Array
 
 EDGES = 8
-"""Of the pyramid inside a friction cone."""
+"""Edges of the pyramid inside a friction cone."""
 MAX_FORCE = 20.0
-"""Sum of the normal forces, in weights of the object. What takes more presses itself out of the hand."""
+"""Largest sum of the normal forces, in object weights. A grasp that needs more presses the object out of the hand."""
 
 
 def holds_weight(points: Array, normals: Array, center: Array, up: Array, friction: float) -> bool:
     """Whether forces within the friction cones of contacts balance the object's weight.
 
-    points (C, 3) m and outward unit normals (C, 3) of the object's surface there, center (3,): of mass, up (3,): all in
-    the object's frame. The forces are free otherwise, but for their sum (`MAX_FORCE`).
+    points: (C, 3) m. normals: (C, 3) outward unit normals of the object's surface there. center: (3,) m, the centre of
+    mass. up: (3,). All are in the object's frame. The only other limit on the forces is that of their sum
+    (`MAX_FORCE`).
     """
     if len(points) == 0:
         return False
@@ -28,7 +29,7 @@ def holds_weight(points: Array, normals: Array, center: Array, up: Array, fricti
     tangents = np.cos(angles)[:, None, None] * side + np.sin(angles)[:, None, None] * other
     forces = (friction * tangents - normals).reshape(-1, 3)
     levers = np.broadcast_to(points - center, tangents.shape).reshape(-1, 3)
-    # Torques over a lever of 5 cm, so that both kinds of rows are alike in size.
+    # Torques are divided by a lever of 5 cm, so that both kinds of rows are similar in size.
     wrenches = np.concatenate([forces, np.cross(levers / 0.05, forces)], axis=1).T
     # Each edge has a normal force of 1.
     balance = np.concatenate([up, np.zeros(3)])

@@ -1,7 +1,7 @@
 """Mass properties of collision shapes: volume, centre of mass and inertia, by closed forms and volume integrals.
 
-Everything is computed at density 1 kg/m^3 and scaled to a mass afterwards, as objects have a known mass and
-no known density. In a compound each shape counts in full: where two shapes overlap, the overlap counts twice.
+Everything is computed at density 1 kg/m^3 and scaled to a mass afterwards, because objects have a known
+mass and no known density. In a compound each shape counts in full: where two shapes overlap, the overlap counts twice.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class MassProperties:
-    """Of a homogeneous body at density 1 kg/m^3, in the frame that the function names.
+    """Mass properties of a homogeneous body at density 1 kg/m^3, in the frame that the function names.
 
     volume: m^3, which at this density is also the mass in kg. center_of_mass: (3,) m.
     inertia: (3, 3) kg m^2 about the centre of mass, axes of the frame.
@@ -78,7 +78,7 @@ def capsule_properties(radius: float, length: float) -> MassProperties:
 def combine(parts: Iterable[MassProperties]) -> MassProperties:
     """A compound of bodies given in one common frame, by the parallel-axis theorem; overlaps count twice.
 
-    Raises ValueError for no parts.
+    Raises `ValueError` if there are no parts.
     """
     parts = list(parts)
     if not parts:
@@ -94,7 +94,7 @@ def combine(parts: Iterable[MassProperties]) -> MassProperties:
 
 def load_mesh(path: Path) -> trimesh.Trimesh:
     """The triangles of a mesh file in m, its vertices merged; `DataError` names a missing or damaged file."""
-    import trimesh  # Late: it takes a second, which a worker with free objects need not spend.
+    import trimesh  # Imported late: it takes a second, which a worker with free objects need not spend.
 
     path = Path(path)
     if not path.is_file():
@@ -105,7 +105,7 @@ def load_mesh(path: Path) -> trimesh.Trimesh:
     try:
         mesh = trimesh.load(path, force="mesh", skip_materials=True)
     except (ArithmeticError, AttributeError, LookupError, OSError, TypeError, ValueError) as error:
-        # trimesh's parsers trip over a damaged file in many ways; for the user they are all the same.
+        # trimesh's parsers fail on a damaged file in many ways; to the user they are all the same.
         raise DataError(f"{path}: cannot be read as a mesh ({type(error).__name__}: {error})") from None
     if not isinstance(mesh, trimesh.Trimesh) or len(mesh.faces) == 0 or not np.isfinite(mesh.vertices).all():
         raise DataError(f"{path}: expected a mesh with faces and finite vertices, found none")
@@ -114,9 +114,9 @@ def load_mesh(path: Path) -> trimesh.Trimesh:
 
 
 def check_size(path: Path, extents: Array, expected: Sequence[float]) -> None:
-    """Raise a `DataError` unless a mesh file is of the size that it should have: centimetres are a hundredfold.
+    """Raise a `DataError` if a mesh is over ten times too large or small, for example because it is in centimetres.
 
-    extents: its sides (3,) m. expected: the sides (3,) m that the object is known to have.
+    extents: the mesh's sides (3,) m. expected: the object's known sides (3,) m.
     """
     ratio = float(np.max(extents)) / max(expected)
     if not 0.1 <= ratio <= 10.0:
@@ -125,10 +125,10 @@ def check_size(path: Path, extents: Array, expected: Sequence[float]) -> None:
 
 
 def mesh_properties(path: Path, convex: bool = False) -> MassProperties:
-    """Of a mesh file, in the mesh's frame.
+    """Mass properties of a mesh file, in the mesh's frame.
 
-    A closed and consistently wound surface is integrated as it is; an open or inconsistent one, which encloses
-    no volume, is replaced by its convex hull, and so is any mesh with `convex`.
+    A closed and consistently wound surface is integrated as it is. An open or inconsistent one encloses no volume and
+    is replaced by its convex hull, and so is every mesh if `convex`. Raises `DataError` for a flat mesh.
     """
     mesh = load_mesh(path)
     spread = np.linalg.svd(mesh.vertices - mesh.vertices.mean(axis=0), compute_uv=False)
@@ -140,7 +140,7 @@ def mesh_properties(path: Path, convex: bool = False) -> MassProperties:
 
 
 def shape_properties(shape: Shape) -> MassProperties:
-    """Of one collision shape, in its body's frame. `DataError` for a mesh file that cannot be read."""
+    """Mass properties of one collision shape, in its body's frame. Raises `DataError` for an unreadable mesh file."""
     if shape.kind in ("mesh", "hull"):
         if shape.file is None:
             raise ValueError(f"a shape of kind {shape.kind!r} needs a file")

@@ -1,4 +1,4 @@
-"""Which points lie inside a shape or a closed mesh, and how much two solids have in common."""
+"""Which points lie inside a shape or a closed mesh, and the bounds and the union volume of shapes."""
 
 from __future__ import annotations
 
@@ -45,8 +45,8 @@ def inside_hull(vertices: Array, points: Array) -> Array:
 def inner_points(vertices: Array, faces: Array, count: int) -> Array:
     """The points (N, 3) that lie in a closed mesh, of about `count` spread evenly over its bounding box.
 
-    vertices (V, 3), faces (F, 3), wound outwards. A point is inside where a ray along x leaves the mesh more often
-    than it enters, which also holds where the surface cuts through itself.
+    vertices (V, 3), faces (F, 3), wound outwards. A point is inside if a ray from it along x leaves the mesh more
+    often than it enters. This also holds where the surface cuts through itself.
     """
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     along, columns = _columns(low, high, count)
@@ -58,12 +58,12 @@ def inner_points(vertices: Array, faces: Array, count: int) -> Array:
     for a, e, f, area in zip(starts, first, second, areas, strict=True):
         if abs(area) < 1e-18:
             continue
-        # Where the column passes, in multiples of the triangle's two sides.
+        # Where the column crosses the triangle, in multiples of the triangle's two sides.
         u = ((y - a[1]) * f[2] - (z - a[2]) * f[1]) / area
         v = ((z - a[2]) * e[1] - (y - a[1]) * e[2]) / area
         hit = np.flatnonzero((u > 0) & (v > 0) & (u + v < 1))
         x = a[0] + u[hit] * e[0] + v[hit] * f[0]
-        # Each point before the crossing sees one exit more, or one entry.
+        # Each point before the crossing sees one more exit, or one more entry.
         before = (along[hit] < x[:, None]).sum(axis=1)
         crossings[before, hit] += 1 if area > 0 else -1
     exits = crossings[::-1].cumsum(axis=0)[::-1][1:]
@@ -80,8 +80,8 @@ def box_points(low: Array, high: Array, count: int) -> Array:
 def _columns(low: Array, high: Array, count: int) -> tuple[Array, Array]:
     """Columns along x: the points' x (C, K) and the columns' y, z (C, 2).
 
-    A Kronecker sequence (generalised golden ratios) places them, not a grid: a box could slip between the layers of a
-    grid and look better than it is.
+    A Kronecker sequence (generalised golden ratios) places them instead of a grid: a box could fit between the layers
+    of a grid and would look better than it is.
     """
     size = np.maximum(high - low, 1e-9)
     edge = float(np.prod(size) / count) ** (1.0 / 3.0)
@@ -107,13 +107,13 @@ def shape_bounds(shape: Shape) -> tuple[Array, Array]:
     elif shape.kind == "sphere":
         half = np.full(3, shape.size[0])
     else:
-        # A cylinder's box is that of its capsule, which is large enough.
+        # A cylinder gets the box of its capsule, which is large enough.
         half = np.abs(R[:, 2]) * shape.size[1] / 2 + shape.size[0]
     return np.array(shape.position) - half, np.array(shape.position) + half
 
 
 def union_volume(shapes: Sequence[Shape], count: int = 60_000) -> float:
-    """Volume in m^3 of the union of shapes of one body, by counting points; about 1% off for 60,000 of them."""
+    """Volume in m^3 of the union of shapes of one body, by counting points; the error is about 1% for 60,000 points."""
     bounds = [shape_bounds(shape) for shape in shapes]
     low, high = np.min([b[0] for b in bounds], axis=0), np.max([b[1] for b in bounds], axis=0)
     points = box_points(low, high, count)

@@ -1,7 +1,7 @@
 """The volume that two bodies share: by booleans of their meshes, cross-checked by counting points.
 
-A body is the union of closed meshes that may overlap, such as the parts of a hand: each is closed first, then they are
-united, so that no volume counts twice.
+A body is the union of closed meshes that may overlap, such as the parts of a hand. Each mesh is closed first. Then the
+meshes are united, so that no volume counts twice.
 """
 
 from __future__ import annotations
@@ -18,19 +18,19 @@ from dgrasp.types import Array
 from raisim_like.rotations import matrix_from_euler
 
 PITCH = 0.002
-"""m between the points of the cross-check."""
+"""Spacing of the cross-check's points, m."""
 TOLERANCE = 0.05
-"""Largest difference between both ways, as a share of the larger volume, that is not reported."""
+"""Largest difference between the two methods that is not reported, as a share of the larger volume."""
 FLOOR = 1e-7
-"""m^3 (0.1 cm^3). A difference up to this much is not reported: twelve points more or less make it up."""
+"""m^3 (0.1 cm^3). Differences up to this size are not reported; twelve points more or less amount to it."""
 
 
 @dataclass(frozen=True, eq=False)
 class Body:
     """A union of closed meshes, m.
 
-    vertices (V, 3), faces (F, 3): all meshes together, wound outwards. solid: the union for booleans; None where a
-    mesh is no solid even after capping. holes: how many were capped.
+    vertices (V, 3), faces (F, 3): all meshes together, wound outwards. solid: the union for booleans; None if a
+    mesh is not a solid even after capping. holes: the number of capped holes.
     """
 
     vertices: Array
@@ -49,7 +49,7 @@ class Body:
         return np.stack([self.vertices.min(axis=0), self.vertices.max(axis=0)])
 
     def surface(self) -> tuple[Array, Array]:
-        """Vertices and faces of the union's surface; of all meshes' where there is no solid."""
+        """Vertices and faces of the union's surface, or of all meshes if there is no solid."""
         if self.solid is None:
             return self.vertices, self.faces
         mesh = self.solid.to_mesh64()
@@ -60,7 +60,7 @@ class Body:
 class Overlap:
     """What two bodies share, m^3.
 
-    volume: by booleans; by points where a body is no solid (then `exact` is False). by_points: the cross-check.
+    volume: by booleans, or by points if a body is not a solid (then `exact` is False). by_points: the cross-check.
     """
 
     volume: float
@@ -69,7 +69,7 @@ class Overlap:
 
     @property
     def disagrees(self) -> bool:
-        """Whether the two ways differ by more than `TOLERANCE` and by more than `FLOOR`."""
+        """Whether the two methods differ by more than `TOLERANCE` and by more than `FLOOR`."""
         difference = abs(self.volume - self.by_points)
         return difference > max(FLOOR, TOLERANCE * max(self.volume, self.by_points))
 
@@ -95,13 +95,13 @@ def join(bodies: Sequence[Body]) -> Body:
 
 
 def near(bodies: Sequence[Body], other: Body) -> list[Body]:
-    """Those whose boxes meet the other's: the rest shares nothing with it."""
+    """The bodies whose boxes meet that of `other`; the rest share no volume with it."""
     low, high = other.bounds
     return [b for b in bodies if (b.bounds[0] < high).all() and (b.bounds[1] > low).all()]
 
 
 def overlap(a: Body, b: Body, pitch: float = PITCH) -> Overlap:
-    """The volume inside both bodies; `pitch` (m) lies between the points of the cross-check."""
+    """The volume inside both bodies; pitch: spacing (m) of the cross-check's points."""
     if not near([a], b):
         return Overlap(0.0, 0.0, True)
     by_points = _count(a, b, pitch)
@@ -111,7 +111,7 @@ def overlap(a: Body, b: Body, pitch: float = PITCH) -> Overlap:
 
 
 def _count(a: Body, b: Body, pitch: float) -> float:
-    """m^3 by the points of a grid that are inside both."""
+    """The shared volume (m^3) by the points of a grid that are inside both bodies."""
     turned = [one.vertices @ _TILT.T for one in (a, b)]
     low = np.max([v.min(axis=0) for v in turned], axis=0)
     high = np.min([v.max(axis=0) for v in turned], axis=0)
@@ -125,7 +125,7 @@ def _count(a: Body, b: Body, pitch: float) -> float:
 
 
 _TILT = matrix_from_euler(np.array([0.61, 0.43, 0.29]))
-"""The grid stands askew, so that no flat face of an object lies along its layers."""
+"""Turns the bodies against the grid, so that no flat face of an object lies along its layers."""
 
 
 def _shell(vertices: Array, faces: Array) -> Body:

@@ -19,12 +19,12 @@ class PartMesh:
 
     @property
     def volume(self) -> float:
-        """m^3."""
+        """Enclosed volume, m^3."""
         return mesh_volume(self.vertices, self.faces)
 
 
 def mesh_volume(vertices: Array, faces: Array) -> float:
     """Volume in m^3 that a closed mesh, wound outwards, encloses."""
-    # Counted from a corner of the mesh, not from a far origin, to keep the digits.
+    # Relative to a vertex of the mesh, because a distant origin would cost digits.
     a, b, c = np.moveaxis(vertices[faces] - vertices[faces[0, 0]], 1, 0)
     return float((a * np.cross(b, c)).sum() / 6.0)

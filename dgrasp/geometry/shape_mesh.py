@@ -13,7 +13,7 @@ from raisim_like.shapes import Shape
 from raisim_like.urdf import shape_pose
 
 SEGMENTS = 32
-"""Corners of a circle. They lie a little outside of it, so that round shapes keep their volume."""
+"""Corners of a circle. They lie a little outside it, so that round shapes keep their volume."""
 
 
 def shape_mesh(shape: Shape) -> tuple[Array, Array]:
@@ -52,12 +52,12 @@ def shapes_vertices(shapes: Iterable[Shape]) -> Array:
 
 
 _CIRCLE = float(np.sqrt((2.0 * np.pi / SEGMENTS) / np.sin(2.0 * np.pi / SEGMENTS)))
-"""By how much the corners of a polygon lie outside of the circle of the same area."""
+"""Radius of a polygon's corners over that of the circle of the same area."""
 
 
 @cache
 def _ball() -> float:
-    """The same for the corners of a ball of the same volume."""
+    """Radius of the corners of `Manifold.sphere` over that of the ball of the same volume."""
     import manifold3d
 
     return float((4.0 / 3.0 * np.pi / manifold3d.Manifold.sphere(1.0, SEGMENTS).volume()) ** (1.0 / 3.0))

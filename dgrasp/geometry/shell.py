@@ -1,7 +1,7 @@
-"""A body's surface in cubes, and how much of it lies in another: the way in which grasp papers count penetration.
+"""A body's surface in cubes, and how much of it lies in another body, as grasp papers count penetration.
 
-They fill the object's surface, not its inside, with cubes of 5 mm, and count those whose middle is inside the hand. So
-a solid that is entered deeply counts as little as a shell, and a shell as much as a solid (docs/metrics.md).
+They cover the object's surface, not its inside, with cubes of 5 mm and count those whose centre is inside the hand. A
+solid that the hand enters deeply therefore counts the same as a shell (docs/metrics.md).
 """
 
 from __future__ import annotations
@@ -13,12 +13,12 @@ from dgrasp.geometry.winding import winding_grid
 from dgrasp.types import Array
 
 CUBE = 0.005
-"""m. Edge of the cubes."""
+"""Edge of the cubes, m."""
 
 
 def surface_cubes(body: Body, edge: float = CUBE) -> Array:
-    """(K, 3) int: the cubes that the body's surface passes through; cube k has its middle at edge * k."""
-    import trimesh  # Late: it takes a second.
+    """(K, 3) int: the cubes that the body's surface passes through; cube k has its centre at edge * k."""
+    import trimesh  # Imported late: it takes a second.
 
     vertices, faces = body.surface()
     mesh = trimesh.Trimesh(vertices, faces, process=False)
@@ -26,7 +26,7 @@ def surface_cubes(body: Body, edge: float = CUBE) -> Array:
 
 
 def cubes_inside(cubes: Array, body: Body, edge: float = CUBE) -> float:
-    """m^3: the volume of those cubes (K, 3) whose middle is in the body."""
+    """The volume (m^3) of those cubes (K, 3) whose centre is inside the body."""
     low, high = np.floor(body.bounds / edge).astype(int) + np.array([[0], [1]])
     mine = cubes[((cubes >= low) & (cubes <= high)).all(axis=1)]
     if not len(mine):

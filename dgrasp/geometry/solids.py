@@ -1,4 +1,4 @@
-"""Solids to build meshes of: turned, lofted, swept and cut; m. Each is a `manifold3d.Manifold`."""
+"""Solids from which to build meshes: turned, lofted, swept and cut. Each is a `manifold3d.Manifold` in m."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ def turned(profile: Sequence[Point2]) -> Any:
 
 
 def plate(outline: Any, height: float, low: float = 0.0) -> Any:
-    """An outline (`manifold3d.CrossSection`) drawn out along z from `low` on."""
+    """An outline (`manifold3d.CrossSection`) extruded along z from `low` to `low + height`."""
     import manifold3d
 
     return manifold3d.Manifold.extrude(outline, height).translate((0.0, 0.0, low))
 
 
 def rounded(*discs: tuple[float, float, float]) -> Any:
-    """The outline around discs (x, y, radius)."""
+    """The convex outline around discs (x, y, radius)."""
     import manifold3d
 
     circles = [manifold3d.CrossSection.circle(r, CORNERS).translate((x, y)) for x, y, r in discs]
@@ -50,7 +50,7 @@ def block(size: Point3, center: Point3 = (0.0, 0.0, 0.0), bevel: float = 0.0) ->
 
 
 def lofted(sections: Sequence[tuple[float, float, float, float]]) -> Any:
-    """A body along z through superellipses (z, half width x, half depth y, exponent); 2 is an ellipse."""
+    """A body along z through superellipses (z, half width x, half depth y, exponent); exponent 2 is an ellipse."""
     angle = 2.0 * np.pi * np.arange(CORNERS) / CORNERS
     cos, sin = np.cos(angle), np.sin(angle)
     rings = []
@@ -67,13 +67,13 @@ def swept(points: Array, radii: Array, up: Point3, closed: bool = False) -> Any:
     normal = np.array(up) / np.linalg.norm(up)
     side = np.cross(ahead, normal)
     angle = 2.0 * np.pi * np.arange(CORNERS // 3) / (CORNERS // 3)
-    # Side, normal and the way ahead are left-handed, hence the minus.
+    # Side, normal and the direction ahead are left-handed, hence the minus.
     ring = np.cos(angle)[:, None] * side[:, None] - np.sin(angle)[:, None] * normal
     return _skinned(points[:, None] + radii[:, None, None] * ring, closed)
 
 
 def smooth(points: Sequence[Sequence[float]]) -> Array:
-    """(n, d): a smooth curve from the first to the last of points (k, d): their polygon, its corners cut thrice."""
+    """(n, d): a smooth curve from the first to the last of points (k, d): their polygon, corners cut thrice."""
     curve = np.array(points, dtype=float)
     for _ in range(3):
         first, second = curve[:-1] * 0.75 + curve[1:] * 0.25, curve[:-1] * 0.25 + curve[1:] * 0.75

@@ -1,4 +1,4 @@
-"""How often closed triangles wind around the points of a grid: what is inside, without any boolean of meshes."""
+"""How often closed triangles wind around the points of a grid, which tells what is inside without mesh booleans."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from dgrasp.types import Array
 def winding_grid(vertices: Array, faces: Array, low: Array, pitch: float, counts: tuple[int, int, int]) -> Array:
     """(X, Y, Z) int: winding numbers of the points low + pitch * (i, j, k); positive inside faces wound outwards.
 
-    A ray runs along x through each column of points and counts the faces that it enters, less those that it leaves.
-    Solids that overlap wind twice around what they share, so positive still means inside of any. Of a surface that is
-    not closed some rays enter and never leave: `leaking_columns` counts them.
+    A ray runs along x through each column of points and counts the faces by which it enters minus those by which it
+    leaves. Overlapping solids wind twice around what they share, so positive still means inside any of them. If a
+    surface is not closed, some rays enter and never leave; `leaking_columns` counts them.
     """
     return _crossings(vertices, faces, low, pitch, counts)[:-1].cumsum(axis=0)
 
@@ -23,11 +23,11 @@ def leaking_columns(vertices: Array, faces: Array, low: Array, pitch: float, cou
 
 
 def _crossings(vertices: Array, faces: Array, low: Array, pitch: float, counts: tuple[int, int, int]) -> Array:
-    """(X + 1, Y, Z): entries less exits before each point, counted from the point before it; the last: beyond."""
+    """(X + 1, Y, Z): entries minus exits between each point and the one before it; the last layer is past the grid."""
     n_x, n_y, n_z = counts
     grid = (vertices - low) / pitch
     corners = grid[faces]
-    # The columns under each triangle's own bounds, as pairs of triangle and column.
+    # The columns within each triangle's own bounds, as pairs of triangle and column.
     first = np.ceil(corners[:, :, 1:].min(axis=1)).clip(0, None).astype(int)
     last = np.floor(corners[:, :, 1:].max(axis=1)).clip(None, [n_y - 1, n_z - 1]).astype(int)
     spans = (last - first + 1).clip(0, None)
@@ -37,7 +37,7 @@ def _crossings(vertices: Array, faces: Array, low: Array, pitch: float, counts: 
     y = first[triangle, 0] + place // spans[triangle, 1]
     z = first[triangle, 1] + place % spans[triangle, 1]
     left = [_left_of(faces[triangle, k], faces[triangle, (k + 1) % 3], grid, y, z) for k in range(3)]
-    # Counter-clockwise seen against x, a face looks along x, and the ray leaves through it.
+    # A face that is counter-clockwise when seen against x points along x, so the ray leaves through it.
     leaving = left[0] & left[1] & left[2]
     entering = ~(left[0] | left[1] | left[2])
     hit = leaving | entering
@@ -60,7 +60,7 @@ def _left_of(start: Array, end: Array, grid: Array, y: Array, z: Array) -> Array
 
 
 def _height(corners: Array, y: Array, z: Array) -> Array:
-    """(P,) where rays along x at (y, z) meet the planes of the triangles (P, 3, 3)."""
+    """(P,): x where rays along x at (y, z) meet the triangles (P, 3, 3)."""
     a, u, v = corners[:, 0], corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     area = u[:, 1] * v[:, 2] - u[:, 2] * v[:, 1]
     safe = np.where(area == 0.0, 1.0, area)

@@ -1,4 +1,4 @@
-"""An object's surface as a body: for what is measured on meshes, not simulated."""
+"""An object's surface as a body, for measurements on meshes; it is not simulated."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ from dgrasp.types import Array
 from raisim_like.shapes import Shape
 
 DETAILED_MESH = "textured_meshlab.obj"
-"""The most detailed mesh that the authors' release has of an object."""
+"""The most detailed mesh of an object in the authors' release."""
 
 
 @dataclass(frozen=True, eq=False)
 class ObjectBody:
     """An object in its frame O.
 
-    detailed: made from the release's detailed mesh. own: made from a mesh of ours, or of the user's. Else from the
-    collision shapes.
+    detailed: made from the release's detailed mesh. own: made from the project's or the user's mesh. With neither, it
+    is made from the collision shapes.
     """
 
     body: Body
@@ -33,7 +33,7 @@ class ObjectBody:
 
 
 def object_body(model: ObjectModel, objects_dir: Path) -> ObjectBody:
-    """The object's detailed mesh where `objects_dir` has one, else its model's mesh, else its collision shapes.
+    """The object's detailed mesh if `objects_dir` has one, else its model's mesh, else its collision shapes.
 
     Raises `DataError` for a mesh that is damaged or in another unit.
     """
@@ -49,7 +49,7 @@ def object_body(model: ObjectModel, objects_dir: Path) -> ObjectBody:
 
 def surface_points(of: Body, spacing: float) -> Array:
     """(P, 3) m: points all over the body's surface, neighbours at most `spacing` (m) apart."""
-    import trimesh  # Late: it takes a second.
+    import trimesh  # Imported late: it takes a second.
 
     vertices, _ = trimesh.remesh.subdivide_to_size(*of.surface(), max_edge=spacing, max_iter=20)
     return np.unique(np.asarray(vertices), axis=0)

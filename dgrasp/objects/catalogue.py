@@ -1,6 +1,6 @@
-"""The 20 objects of the paper's experiments: ids, masses, sizes and how the authors collide them.
+"""The 20 objects of the paper's experiments: ids, masses, sizes and the authors' collision shapes.
 
-The names and ids are those of the YCB set as DexYCB counts it (id 19, the large clamp, is in none of its
+The names and ids are those of the YCB set as DexYCB numbers it (id 19, the large clamp, is in none of its
 grasps). Sizes and masses are published facts about the YCB objects.
 """
 
@@ -23,10 +23,11 @@ LABEL_TYPES = ("cylinder", "box", "mesh", "hull")
 class CatalogueObject:
     """One object.
 
-    id: its DexYCB id. mass_ycb, mass_official: kg as YCB publishes it, and as the authors simulate it.
+    id: its DexYCB id. mass_ycb, mass_official: kg, as YCB publishes it and as the authors simulate it.
     extents: (x, y, z) m of the bounding box, in the axes of the free set's object frame.
     collision: the authors' collision shape in the object frame O; a file is relative to the object's folder.
-    thin: less than 0.8 of its volume and its convex parts' is in both (docs/physics.md, "Objects in physics").
+    thin: the intersection over union of its volume and that of its convex parts is below 0.8 (docs/physics.md, "Objects
+        in physics").
     """
 
     id: int

@@ -1,8 +1,8 @@
-"""The free objects: the 20 objects of the catalogue as primitives and compounds of our own.
+"""The free objects: the 20 objects of the catalogue as the project's own primitives and compounds.
 
 They have the YCB objects' published sizes and masses, and shapes designed here. The origin of the object frame O
 is the centre of the bounding box; upright objects stand along z, long flat ones lie in the xy plane. Hollow
-objects are rings of boxes, so that fingers reach inside. What is measured or drawn on surfaces uses the meshes of
+objects are rings of boxes, so that fingers reach inside. Surfaces are measured and drawn on the meshes of
 `dgrasp.objects.free_mesh`, which ship as files.
 """
 
@@ -127,7 +127,7 @@ def _wall(count: int, low: tuple[float, float], high: tuple[float, float], thick
     slope = np.array([r1 - r0, z1 - z0])
     height = float(np.linalg.norm(slope))
     up_r, up_z = slope / height
-    # As wide as the outer face at the wider rim needs; at the narrower rim neighbours overlap.
+    # As wide as the outer face needs at the wider rim; at the narrower rim, neighbours overlap.
     width = 2 * (max(r0, r1) + thickness / 2) * math.tan(math.pi / count)
     panels = []
     for i in range(count):
@@ -141,7 +141,7 @@ def _wall(count: int, low: tuple[float, float], high: tuple[float, float], thick
 
 
 def _banana() -> tuple[Shape, ...]:
-    """Five capsules on an arc, thickest in the middle, turned in the plane as far as the two extents ask for."""
+    """Five capsules on an arc, thickest in the middle, turned in the plane to match the two extents."""
     radius, half_angle, turn = 0.115, math.radians(48.7), math.radians(24.8)
     angles = np.linspace(-half_angle, half_angle, 6) + turn
     points = [(radius * math.cos(a), radius * math.sin(a), 0.0) for a in angles]
@@ -157,14 +157,14 @@ def _pitcher() -> tuple[Shape, ...]:
 
 
 def _mug() -> tuple[Shape, ...]:
-    """The wall ends above the bottom's underside, so that the mug stands on one shape and not on thirteen."""
+    """The wall ends above the bottom's underside, so that the mug stands on one shape instead of thirteen."""
     wall = _wall(12, (0.0435, 0.003), (0.0435, 0.081), 0.005)
     handle = _path(((0.042, 0.0, 0.066), (0.064, 0.0, 0.058), (0.064, 0.0, 0.026), (0.042, 0.0, 0.018)), 0.005)
     return (*_stack((0.043, 0.006)), *wall, *handle)
 
 
 def _bowl() -> tuple[Shape, ...]:
-    """A foot and two rings of panels, the upper one steeper, as a round shell has it."""
+    """A foot and two rings of panels, the upper one steeper, like a round shell."""
     lower = _wall(8, (0.036, 0.0025), (0.066, 0.026), 0.005)
     upper = _wall(12, (0.064, 0.025), (0.0777, 0.0547), 0.005)
     return (*_stack((0.040, 0.005)), *lower, *upper)

@@ -1,8 +1,8 @@
-"""The free objects as closed meshes of our own: `python -m dgrasp.objects.free_mesh --out data/free/objects`.
+"""The free objects as the project's own closed meshes: `python -m dgrasp.objects.free_mesh --out data/free/objects`.
 
-They have the published extents to the micrometre and follow the physics shapes of `dgrasp.objects.free`, which stay
-what is simulated: rims, shoulders, handles and hollows are rounder here. What is measured or drawn on surfaces uses
-them. Same frame O: the centre of the bounding box is the origin.
+The meshes have the published extents to the micrometre and follow the shapes of `dgrasp.objects.free`, with rounder
+rims, shoulders, handles and hollows. Surfaces are measured and drawn on the meshes; the shapes are what is simulated.
+The frame O is the same: its origin is the centre of the bounding box.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from dgrasp.objects.catalogue import CATALOGUE, catalogue_object
 from dgrasp.types import Array
 
 _COARSE = 5e-5
-"""m. By so much the surface may move where that saves triangles."""
+"""Distance by which the surface may move to save triangles, m."""
 
 
 def free_mesh(name: str) -> tuple[Array, Array]:
@@ -38,7 +38,7 @@ def free_mesh(name: str) -> tuple[Array, Array]:
     low, high = np.array(solid.bounding_box()).reshape(2, 3)
     solid = solid.translate(tuple(-(low + high) / 2)).scale(tuple(np.array(entry.extents) / (high - low)))
     triangles = solid.to_mesh64()
-    # Booleans leave edges of no length; rounded, their ends are one vertex, and faces without area go.
+    # Booleans leave edges of almost no length. Rounding makes their ends one vertex, and empty faces are dropped.
     vertices = np.round(np.asarray(triangles.vert_properties)[:, :3], 6) + 0.0
     closed = close_mesh(vertices, np.asarray(triangles.tri_verts))
     return closed.vertices, closed.faces
@@ -55,7 +55,7 @@ def _can(radius: float, height: float) -> Any:
 
 
 def _marker() -> Any:
-    """The cap upwards, a little thicker than the barrel."""
+    """A marker with its cap up; the cap is a little thicker than the barrel."""
     return turned([
         (0, 0), (0.0070, 0), (0.0084, 0.002), (0.0084, 0.074), (0.0090, 0.075), (0.0090, 0.116), (0.0078, 0.118),
         (0.0072, 0.121), (0, 0.121),
@@ -151,7 +151,7 @@ def _scissors() -> Any:
                           (0.0115, -0.047)])  # fmt: skip
         outline = manifold3d.CrossSection.hull_points(blade * np.array([side, 1.0]))
         whole += swept(loop, np.full(32, 0.0075), (0.0, 0.0, 1.0), closed=True)
-        # The blades share a hair's breadth: solids that just touch have no clear surface.
+        # The blades overlap slightly, because solids that just touch have no clear surface.
         whole += plate(outline, 0.0061, -0.0001 if side > 0 else -0.006)
     return whole
 

@@ -1,4 +1,4 @@
-"""What the physics needs to know of an object."""
+"""What the physics needs to know about an object."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ class ObjectModel:
     """An object in its own frame O.
 
     shapes: collision shapes in O. mass: kg. center_of_mass_O: (3,) m. inertia: (3, 3) kg m^2 about the
-    centre of mass, axes of O. mesh: a file of its closed surface in O, where there is one beside the shapes; it is
-    measured on and drawn, not simulated.
+    centre of mass, axes of O. mesh: a file of its closed surface in O, if there is one besides the shapes; it is
+    used for measurements and pictures, not simulated.
     """
 
     name: str
@@ -34,7 +34,7 @@ def object_model(name: str, shapes: Sequence[Shape], mass: float, official_compa
     """An object of `mass` kg made of `shapes` in its frame O.
 
     official_compat: as the authors' simulation has it, with the centre of mass at the origin of O and an inertia
-    of 1 kg m^2 about every axis, so that objects hardly rotate; otherwise as the shapes say.
+    of 1 kg m^2 about every axis, so that objects hardly rotate; otherwise both follow from the shapes.
     """
     if official_compat:
         return ObjectModel(name, tuple(shapes), mass, np.zeros(3), np.eye(3))

@@ -33,7 +33,7 @@ YCB_NAMES: dict[int, str] = {
 
 
 def nearest(word: str, choices: Iterable[str]) -> str:
-    """`"; did you mean 'X'?"` for the choice nearest to `word`, or an empty text where nothing is near."""
+    """`"; did you mean 'X'?"` for the choice nearest to `word`, or an empty text if nothing is near."""
     options = list(choices)
     parts = {part: option for option in options for part in (option.partition("_")[2], option) if part}
     close = difflib.get_close_matches(word.lower(), list(parts), n=1, cutoff=0.5)
@@ -44,7 +44,7 @@ def resolve_object(name: str | int) -> str:
     """The full name of an object given as "004_sugar_box", by its number "004", or by its DexYCB id 3.
 
     Text of three digits is the YCB number and shorter digits are the DexYCB id: "003" is the cracker box,
-    "3" and 3 are the sugar box. An unknown object is a `DataError` that names the nearest one.
+    "3" and 3 are the sugar box. Raises a `DataError` for an unknown object, which names the nearest one.
     """
     text = str(name).strip()
     if text in YCB_NAMES.values():

@@ -25,8 +25,8 @@ def release_object(
     objects_dir: the release's `objects` folder; it is read for objects that collide as a mesh, not for boxes and
     cylinders. masses: "official" as the authors simulate them, "ycb" as published.
     official_compat: centre of mass at the origin and 1 kg m^2 about every axis instead of the shape's own.
-    concave: the authors' concave meshes as they are, or cut into convex parts, or ("auto") whichever of the two
-    grasps more like the authors' simulation; centre of mass and inertia are the mesh's either way.
+    concave: "mesh" keeps the authors' concave meshes, "parts" cuts them into convex parts, and "auto" takes whichever
+    of the two grasps more like the authors' simulation. Centre of mass and inertia are the mesh's either way.
     Raises `DataError` for an unknown name or a mesh that is missing, damaged or in another unit.
     """
     entry = catalogue_object(name)

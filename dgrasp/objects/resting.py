@@ -1,4 +1,4 @@
-"""How any object comes to rest on a table: on the faces of its convex hull that its weight does not tip it from."""
+"""How an object comes to rest on a table: on a face of its convex hull from which its weight does not tip it."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 from dgrasp.types import Array
 
 STABLE_DEG = 7.0
-"""A resting object is tipped over by no smaller angle."""
+"""Smallest angle that may tip a resting object over, degrees."""
 _SAME_FACE = 1e-3
 _SHARE = 0.1
 
@@ -17,8 +17,9 @@ _SHARE = 0.1
 def resting_rotations(vertices: Array, center: Array) -> tuple[Array, Array]:
     """(K, 3, 3) rotations R_WO in which a body rests on a horizontal table, and (K,) how probable each is.
 
-    vertices (V, 3) and centre of mass (3,), m, in O. The larger the angle that tips it over, the more probable; faces
-    of less than a tenth of the best one's probability are left out. A body that rests nowhere stands as in O.
+    vertices (V, 3) and centre of mass (3,), m, in O. The larger the angle that tips the body over, the more probable
+    the face. Faces with less than a tenth of the highest probability are left out. A body without a stable face stands
+    as in O.
     """
     from scipy.spatial import ConvexHull
 
@@ -54,7 +55,7 @@ def turn_down(normal: Array) -> Array:
 
 
 def _tipping(support: Array, center: Array) -> float:
-    """rad by which a body that stands on points (S, 3) tips over its nearest edge; negative where it stands not."""
+    """Angle (rad) that tips a body on points (S, 3) over its nearest edge; negative if the body cannot stand."""
     from scipy.spatial import ConvexHull, QhullError
 
     height = max(float(center[2] - support[:, 2].min()), 1e-6)

@@ -1,7 +1,7 @@
-"""Objects that `dgrasp object add` wrote: a folder per object, found by name, refused where it was changed later.
+"""Objects that `dgrasp object add` wrote: one folder per object, found by name, and refused if changed later.
 
 A folder holds `object.json` (what it was made of, mass, shapes, figures), `mesh.obj` (the repaired surface in O, m),
-what else the shapes need, and `picture.png`. O is the frame of the file that was added.
+other files that the shapes need, and `picture.png`. O is the frame of the file that was added.
 """
 
 from __future__ import annotations
@@ -29,18 +29,18 @@ from raisim_like.shapes import Kind, Shape
 META_FILE, MESH_FILE, PICTURE_FILE = "object.json", "mesh.obj", "picture.png"
 FORMAT, SCHEMA = "dgrasp-object", 1
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.+-]{0,99}")
-"""Names as label files take them."""
+"""Names that label files accept."""
 _SIZES = {"box": 3, "cylinder": 2, "capsule": 2, "sphere": 1, "hull": 0, "mesh": 0}
 
 
 def default_store() -> Path:
-    """Where objects are added to and looked for unless another folder is named."""
+    """The folder where objects are added and searched unless another one is named."""
     return user_data_root() / "objects"
 
 
 @dataclass(frozen=True)
 class StoredObject:
-    """Where an added object lies, and its id, which ends in a hash of what the physics reads."""
+    """The folder of an added object, and its id, which ends in a hash of what the physics reads."""
 
     folder: Path
     id: str
@@ -49,14 +49,14 @@ class StoredObject:
 def find_object(name: str, folders: Sequence[Path]) -> StoredObject:
     """An added object, from the first of `folders` that has it.
 
-    Raises `DataError` where none has it, saying where it was looked for, and for a damaged one.
+    Raises `DataError` if none has it, with the folders that were searched, and for a damaged object.
     """
     for folder in folders:
         if os.path.isfile(folder / name / META_FILE):
             return StoredObject(folder / name, read_meta(folder / name)["id"])
     found = [path for folder in folders if os.path.isdir(folder) for path in folder.glob(f"*/{META_FILE}")]
     there = sorted({path.parent.name for path in found})
-    raise DataError(f"unknown object {name!r}: none of the 20, and not in {' or '.join(map(str, folders))} (there: "
+    raise DataError(f"unknown object {name!r}: not one of the 20, and not in {' or '.join(map(str, folders))} (there: "
                     f"{', '.join(there[:20]) or 'nothing'}){nearest(name, [*there, *YCB_NAMES.values()])}; add its "
                     f"mesh with `dgrasp object add MESH --name {name}`, or name its folder with objects=DIR")
 
@@ -64,8 +64,8 @@ def find_object(name: str, folders: Sequence[Path]) -> StoredObject:
 def load_object(folder: Path, official_compat: bool, parts: bool = False) -> ObjectModel:
     """The model of an added object.
 
-    official_compat: 1 kg m^2 about every axis, as the authors simulate theirs; mass and centre of mass stay its own.
-    parts: cut a mesh that collides into convex parts. Raises `DataError` where the folder is damaged or was changed.
+    official_compat: 1 kg m^2 about every axis, as the authors simulate theirs; mass and centre of mass are its own.
+    parts: cut a collision mesh into convex parts. Raises `DataError` if the folder is damaged or was changed.
     """
     meta = read_meta(folder)
     shapes = tuple(_shape(entry, folder) for entry in meta["shapes"])
@@ -77,7 +77,7 @@ def load_object(folder: Path, official_compat: bool, parts: bool = False) -> Obj
 
 
 def read_meta(folder: Path) -> dict[str, Any]:
-    """The checked description of an added object; its files are what they were when it was added."""
+    """The description of an added object. Raises `DataError` unless it is valid and the files are unchanged."""
     path = folder / META_FILE
     again = "add it again with `dgrasp object add`"
     try:
@@ -91,7 +91,7 @@ def read_meta(folder: Path) -> dict[str, Any]:
     except (AttributeError, LookupError, TypeError, ValueError):
         raise DataError(f"{path}: the description is incomplete or has values out of range; {again}") from None
     if meta["id"] != object_id(meta):
-        raise DataError(f"{path}: was changed after the object was added (its id is no longer that of mass, shapes and "
+        raise DataError(f"{path}: was changed after the object was added (its id no longer matches mass, shapes and "
                         f"files); {again}")
     for name, digest in meta["files"].items():
         if not os.path.isfile(folder / name) or file_digest(folder / name) != digest:
@@ -100,7 +100,7 @@ def read_meta(folder: Path) -> dict[str, Any]:
 
 
 def object_id(meta: dict[str, Any]) -> str:
-    """The name and a hash of all that the physics reads of a description."""
+    """The name, and a hash of everything that the physics reads from a description."""
     physics = {key: meta[key] for key in ("mass_kg", "center_of_mass_O", "inertia", "shapes")}
     physics["files"] = {file: digest for file, digest in meta["files"].items() if file != PICTURE_FILE}
     return f"{meta['name']}-{hashlib.sha256(json.dumps(physics, sort_keys=True).encode()).hexdigest()[:12]}"
@@ -112,7 +112,7 @@ def file_digest(path: Path) -> str:
 
 
 def _check(meta: dict[str, Any], folder: Path) -> None:
-    """Raise one of the errors that `read_meta` catches unless the description can be built from."""
+    """Raise one of the errors that `read_meta` catches unless an object can be built from the description."""
     files = meta["files"]
     _require(NAME.fullmatch(meta["name"]) and meta["name"] == folder.absolute().name and isinstance(meta["id"], str))
     _require(all(NAME.fullmatch(name) and isinstance(digest, str) for name, digest in files.items()))
@@ -132,7 +132,7 @@ def _require(ok: object) -> None:
 
 
 def check_mass(mass: float, center: Array, inertia: Array) -> None:
-    """Raise ValueError, with the reason, unless these are those of a body.
+    """Raise a `ValueError`, with the reason, unless a body can have these properties.
 
     mass: kg. center: (3,) m. inertia: (3, 3) kg m^2 about the centre of mass.
     """
@@ -149,7 +149,7 @@ def check_mass(mass: float, center: Array, inertia: Array) -> None:
 
 
 def plain_shape(shape: Shape) -> dict[str, Any]:
-    """A shape as JSON has it; its file by its name in the object's folder."""
+    """A shape as plain JSON values; its file is given by its name in the object's folder."""
     entry: dict[str, Any] = {"kind": shape.kind, "size": list(shape.size), "position": list(shape.position),
                              "quaternion": list(shape.quaternion)}
     return entry if shape.file is None else entry | {"file": shape.file.name}

@@ -19,7 +19,7 @@ def default_engine() -> str:
 
 
 def make_engine(name: str) -> Engine:
-    """The engine of that name; raises `EngineError` with the valid names."""
+    """The engine of that name. Raises `EngineError` for an unknown name or a missing package."""
     if name == "pybullet":
         if find_spec("pybullet") is None:
             raise EngineError(

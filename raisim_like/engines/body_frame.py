@@ -1,4 +1,4 @@
-"""A rigid body's own frame, and the one that engines simulate: at the centre of mass, along the principal axes."""
+"""A rigid body's own frame and the frame that engines simulate: at the centre of mass, along the principal axes."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from raisim_like.shapes import Shape
 
 
 class BodyFrame:
-    """Turns states between a body's frame B and its inertial frame I.
+    """Converts states between a body's frame B and its inertial frame I.
 
-    com: (3,) origin of I in B. axes: (3, 3) R_BI. moments: (3,) principal moments of inertia, kg m^2. States are
-    those of `EngineWorld.set_body_state`.
+    com: (3,) origin of I in B. axes: (3, 3) R_BI. moments: (3,) principal moments of inertia, kg m^2. States
+    have the layout of `EngineWorld.set_body_state`.
     """
 
     def __init__(self, com: Array, inertia: Array) -> None:
@@ -30,7 +30,7 @@ class BodyFrame:
         self.plain = bool(np.all(self.com == 0) and np.array_equal(self.axes, np.eye(3)))
 
     def shape_in_inertial(self, shape: Shape) -> Shape:
-        """A shape of the body, placed in I."""
+        """A shape of the body, expressed in I."""
         if self.plain:
             return shape
         R = self.axes.T @ matrix_from_quaternion(np.array(shape.quaternion))
@@ -39,7 +39,7 @@ class BodyFrame:
         return replace(shape, position=(x, y, z), quaternion=(w, i, j, k))
 
     def to_inertial(self, state: Array) -> Array:
-        """(13,) state of I for a state of B."""
+        """The state (13,) of I that corresponds to a state (13,) of B."""
         if self.plain:
             return state
         out = state.copy()
@@ -51,7 +51,7 @@ class BodyFrame:
         return out
 
     def from_inertial(self, state: Array) -> None:
-        """Turns a (13,) state of I into that of B, in place."""
+        """Convert a state (13,) of I to the state of B, in place."""
         if self.plain:
             return
         R = matrix_from_quaternion(state[3:7]) @ self.axes.T

@@ -1,4 +1,4 @@
-"""The smallest inertia and mass of a link that any engine is given: smaller ones make their solvers fail."""
+"""The smallest inertia and mass of a link in any engine; smaller ones make the solvers fail."""
 
 LIGHT_INERTIA = 1e-6
 """kg m^2 about a principal axis."""

@@ -1,4 +1,4 @@
-"""Outside forces that act in the next substep alone."""
+"""External forces that act in the next substep only."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from raisim_like.engines.protocol import Array
 
 @dataclass
 class Pending:
-    """Sums of what was asked for, by body id.
+    """Sums of the requested forces, by body id.
 
     wrenches: (2, 3) force at the centre of mass and torque of rigid bodies, world. generalized: (dof,) of systems.
     """
@@ -23,18 +23,18 @@ class Pending:
         return bool(self.wrenches or self.generalized)
 
     def add_wrench(self, body: int, force: Array, torque: Array) -> None:
-        """One more force and torque on a rigid body."""
+        """Add a force and a torque on a rigid body."""
         self.wrenches[body] = self.wrenches.get(body, np.zeros((2, 3))) + np.array([force, torque])
 
     def add_generalized(self, body: int, force: Array) -> None:
-        """One more generalised force on a system."""
+        """Add a generalised force on a system."""
         self.generalized[body] = self.generalized.get(body, 0.0) + np.asarray(force, dtype=float)
 
     def forget(self, body: int) -> None:
-        """The body has left."""
+        """Drop the forces on a body that was removed."""
         self.wrenches.pop(body, None)
         self.generalized.pop(body, None)
 
     def copy(self) -> Pending:
-        """The same, independent of this one."""
+        """An independent copy."""
         return Pending(dict(self.wrenches), dict(self.generalized))

@@ -1,4 +1,4 @@
-"""What an engine of single worlds offers to `World`. Bodies are named by the integer ids that the engine returns."""
+"""The interface of an engine of single worlds to `World`. The engine returns integer ids, which name the bodies."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from raisim_like.urdf import UrdfModel
 Array = NDArray[Any]
 
 STRIDE: dict[Preset, int] = {"faithful": 1, "fast": 2}
-"""Timesteps that one step of an engine takes at most (docs/physics.md)."""
+"""Most timesteps that one engine step covers (docs/physics.md)."""
 
 
 def engine_steps(substeps: int, timestep: float, preset: Preset) -> tuple[int, float]:
-    """(steps, s): how many equal steps of the engine make up that many timesteps, and how long one is."""
+    """The number of equal engine steps that make up `substeps` timesteps, and the length (s) of one."""
     steps = -(-substeps // STRIDE[preset])
-    # Multiplied and divided, a timestep would not always come back to the last bit.
+    # Multiplying and dividing would not always give back the timestep to the last bit.
     return steps, timestep if steps == substeps else timestep * substeps / steps
 
 
@@ -31,71 +31,71 @@ class EngineWorld(Protocol):
 
     timestep: float
     step_seconds: float
-    """Wall seconds spent inside the engine's own step so far."""
+    """Wall-clock seconds spent in the engine's own step so far."""
 
     def close(self) -> None:
         """Free the world."""
 
     def set_gravity(self, gravity: Array) -> None:
-        """Gravity (3,), m/s^2, world frame."""
+        """Set gravity (3,), m/s^2, world frame."""
 
     def add_body(
         self, shapes: Sequence[Shape], mass: float, com: Array, inertia: Array, material: str, collision_mask: int
     ) -> int:
-        """A rigid body; mass 0 makes it static. inertia (3, 3) about the com (3,)."""
+        """Add a rigid body; mass 0 makes it static. inertia (3, 3) about the com (3,)."""
 
     def add_articulated(
         self, model: UrdfModel, material: str, collision_mask: int, self_collision: bool, enforce_limits: bool
     ) -> int:
-        """An articulated system on a fixed base."""
+        """Add an articulated system on a fixed base."""
 
     def remove(self, body: int) -> None:
-        """Take a body out of the world."""
+        """Remove a body from the world."""
 
     def apply_materials(self, table: MaterialTable) -> None:
         """Set the friction of all bodies."""
 
     def set_body_state(self, body: int, state: Array) -> None:
-        """position 3, quaternion 4 (w x y z), linear 3 and angular velocity 3 of a body's frame, world."""
+        """Set position 3, quaternion 4 (w x y z), linear 3 and angular velocity 3 of a body's frame, world."""
 
     def get_body_state(self, body: int, out: Array) -> None:
-        """Writes the (13,) state of `set_body_state` into out."""
+        """Write the (13,) state of `set_body_state` into out."""
 
     def set_base_pose(self, body: int, position: Array, quaternion: Array) -> None:
-        """Pose of an articulated system's fixed base."""
+        """Set the pose of an articulated system's fixed base."""
 
     def set_joint_state(self, body: int, gc: Array, gv: Array) -> None:
-        """Generalised coordinates and velocities (dof,); resets the controller's memory."""
+        """Set generalised coordinates and velocities (dof,), and reset the controller's memory."""
 
     def get_joint_state(self, body: int, gc: Array, gv: Array) -> None:
-        """Writes coordinates and velocities into (dof,) arrays."""
+        """Write coordinates and velocities into (dof,) arrays."""
 
     def set_pd_gains(self, body: int, kp: Array, kd: Array) -> None:
-        """PD gains (dof,)."""
+        """Set the PD gains (dof,)."""
 
     def set_pd_target(self, body: int, target: Array) -> None:
-        """PD position target (dof,); the target velocity is zero."""
+        """Set the PD position target (dof,); the target velocity is zero."""
 
     def set_feed_forward(self, body: int, force: Array) -> None:
-        """Generalised feed-forward force (dof,), N or N m."""
+        """Set the generalised feed-forward force (dof,), N or N m."""
 
     def apply_wrench(self, body: int, force: Array, torque: Array) -> None:
-        """Force (3,) N at the centre of mass of a rigid body and torque (3,) N m, world, in the next substep only.
+        """Apply a force (3,) N at a rigid body's centre of mass and a torque (3,) N m, world, in the next substep only.
 
-        Several add up.
+        Several calls add up.
         """
 
     def apply_generalized_force(self, body: int, force: Array) -> None:
-        """Force (dof,) on an articulated system in the next substep only; several add up."""
+        """Apply a force (dof,) to an articulated system in the next substep only; several calls add up."""
 
     def mass_matrix(self, body: int) -> Array:
         """(dof, dof) mass matrix of the articulated system as the engine simulates it."""
 
     def forget_contacts(self) -> None:
-        """Drop what the solver remembers of past contacts; all bodies must be placed anew afterwards."""
+        """Drop the solver's memory of past contacts; all bodies must be placed anew afterwards."""
 
     def link_impulses(self, body: int, other: int, out: Array) -> None:
-        """Writes the summed normal impulse (N s, last substep) of each moving link against `other`, (dof,)."""
+        """Write the summed normal impulse (N s, last substep) of each moving link against `other`, (dof,)."""
 
     def touching(self, body: int, other: int) -> bool:
         """Whether two bodies pressed on each other in the last substep."""
@@ -107,18 +107,18 @@ class EngineWorld(Protocol):
         """World rotations (dof, 3, 3) and origins (dof, 3) of the moving links."""
 
     def bare_step(self, substeps: int) -> float:
-        """The engine's own step, that many times under the last torques: what control and reading are measured against.
+        """Run only the engine's own step for `substeps` timesteps under the last torques.
 
-        Returns the wall seconds inside that step.
+        This is the baseline for the cost of control and reading. Returns the wall-clock seconds in that step.
         """
 
     def save(self) -> Any:
-        """All that the next steps depend on, except gravity, materials and the set of bodies."""
+        """Everything that the next steps depend on, except gravity, materials and the set of bodies."""
 
     def restore(self, snapshot: Any) -> None:
-        """Go back to a snapshot of this world, which may be done any number of times.
+        """Go back to a snapshot of this world, any number of times.
 
-        Raises `EngineError` when bodies have come or gone since.
+        Raises `EngineError` if bodies were added or removed since.
         """
 
 
@@ -131,4 +131,4 @@ class Engine(Protocol):
         """A new empty world."""
 
     def integrate(self, worlds: Sequence[EngineWorld], substeps: int) -> None:
-        """Advance all worlds by `substeps` steps, PD control included."""
+        """Advance all worlds by `substeps` timesteps, PD control included."""

@@ -33,7 +33,7 @@ def tube(radius: float, length: float, corners: int = 48) -> Mesh:
 
 
 def lens(radius: float, distance: float) -> float:
-    """Volume that two balls share whose centres are `distance` apart: two caps of height h = r - d / 2."""
+    """Volume shared by two balls whose centres are `distance` apart: two caps of height h = r - d / 2."""
     h = radius - distance / 2
     return 2 * np.pi * h * h * (radius - h / 3)
 

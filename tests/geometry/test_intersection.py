@@ -66,7 +66,7 @@ def test_disagreement_is_told() -> None:
     assert not Overlap(2.0e-6, 2.09e-6, True).disagrees
     # Below 0.1 cm^3 a few points decide.
     assert not Overlap(0.10e-6, 0.19e-6, True).disagrees
-    # A surface that cuts through itself: booleans count the twice wound part twice, points do not.
+    # A surface that cuts through itself: booleans count the doubly wound part twice, points do not.
     vertices, faces = box((0.04, 0.04, 0.04))
     other, _ = box((0.04, 0.04, 0.04), (0.02, 0.0, 0.0))
     twice = body([(np.concatenate([vertices, other]), np.concatenate([faces, faces + 8]))])

@@ -23,7 +23,7 @@ PLACE = {"position": (0.1, -0.2, 0.05), "quaternion": (0.5, 0.5, 0.5, 0.5)}
 def test_volume_and_place_are_those_of_the_shape(shape: Shape) -> None:
     closed = close_mesh(*shape_mesh(shape))
     exact = shape_properties(shape)
-    # The corners of round shapes make up for the edges; a capsule's for those of its ends, which is a little much.
+    # The corners of round shapes make up for their edges; those of a capsule overdo it a little.
     off = 0.01 if shape.kind == "capsule" else 1e-3
     assert closed.holes == 0 and closed.volume == pytest.approx(exact.volume, rel=off)
     middle = (closed.vertices.min(axis=0) + closed.vertices.max(axis=0)) / 2

@@ -20,12 +20,12 @@ def test_a_solid_counts_by_its_surface_alone() -> None:
     assert len(cubes) == 11**3 - 9**3
     everything = cubes_inside(cubes, body([box((0.2, 0.2, 0.2))]))
     assert everything == pytest.approx((11**3 - 9**3) * 0.005**3)
-    # A finger that is wholly inside the block is counted as nothing.
+    # A finger that is wholly inside the block counts as nothing.
     assert cubes_inside(cubes, body([ball(0.012)])) == 0.0
 
 
 def test_a_finger_on_a_face() -> None:
-    # A box of 18 x 18 mm dips into the top layer of cubes (middles at z = 25 mm): 3 x 3 middles are inside.
+    # A box of 18 x 18 mm dips into the top layer of cubes (centres at z = 25 mm): 3 x 3 centres are inside.
     cubes = surface_cubes(body([box((0.051, 0.051, 0.051))]))
     finger = body([box((0.012, 0.012, 0.02))]).placed(moved(z=0.0301))
     assert cubes_inside(cubes, finger) == pytest.approx(9 * 0.005**3)

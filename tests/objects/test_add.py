@@ -22,7 +22,7 @@ from tests.objects.meshes import SIZE, VOLUME, box, save
 
 @pytest.fixture(scope="module")
 def shared(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A cache for all tests here: most of them are not about what is in it."""
+    """One cache for all tests here, because most of them do not depend on its content."""
     return tmp_path_factory.mktemp("cache")
 
 
@@ -103,7 +103,7 @@ def test_the_same_content_is_not_computed_again(file: Path, tmp_path: Path, monk
         assert add_box(file, tmp_path / "a").meta == first.meta
         with pytest.raises(AssertionError, match="computed again"):
             add_object(file, tmp_path / "c", "box", "mm", None, "sphere")
-    # A damaged entry is made anew.
+    # A damaged entry is made again.
     next(path for path in made if path.name == "mesh.obj").write_text("v 0 0 0\n")
     assert not add_box(file, tmp_path / "d").cached
 
@@ -150,9 +150,9 @@ def test_files_that_were_changed_are_refused(file: Path, tmp_path: Path) -> None
         ({"shapes": []}, "out of range"),
         ({"shapes": [{**meta["shapes"][0], "size": [1.0]}]}, "out of range"),
         ({"shapes": [{**meta["shapes"][0], "kind": "hull", "size": [], "file": "../x.obj"}]}, "out of range"),
-        ({"files": {"mesh.obj": "0" * 64}}, "its id is no longer that"),
-        ({"mass_kg": 2.0 * meta["mass_kg"]}, "its id is no longer that"),
-        ({"shapes": [{**meta["shapes"][0], "position": [0.0, 0.0, 0.1]}]}, "its id is no longer that"),
+        ({"files": {"mesh.obj": "0" * 64}}, "its id no longer matches"),
+        ({"mass_kg": 2.0 * meta["mass_kg"]}, "its id no longer matches"),
+        ({"shapes": [{**meta["shapes"][0], "position": [0.0, 0.0, 0.1]}]}, "its id no longer matches"),
         ({"files": {"../mesh.obj": "0" * 64}}, "out of range"),
         ({"name": "other"}, "out of range"),
     ):
@@ -175,7 +175,7 @@ def test_a_replacement_that_is_stopped_leaves_what_was_there(
     before, rename = (folder / META_FILE).read_bytes(), Path.rename
 
     def stopped(self: Path, to: Path) -> Path:
-        if Path(to) == folder and not self.name.endswith(".old"):  # the new one to its place
+        if Path(to) == folder and not self.name.endswith(".old"):  # the new folder, to its place
             raise KeyboardInterrupt
         return rename(self, to)
 

@@ -42,18 +42,18 @@ def test_from_a_mesh_to_a_result(tmp_path: Path, capsys: pytest.CaptureFixture[s
     assert list(result["per_object"]) == ["carton", "004_sugar_box"]
     assert list(result["data"]["added_objects"]) == ["carton"]
     assert str(tmp_path) not in json.dumps(result["data"])
-    # The same box, once added and once of the free set: the same grasp does the same.
+    # The same box, once added and once from the free set: the same grasp gives the same result.
     first, second = result["per_label"]
     assert first["interpenetration_cm3"] == pytest.approx(second["interpenetration_cm3"], abs=1e-6)
     assert first["sim_dist_mm_per_step"] == pytest.approx(second["sim_dist_mm_per_step"], abs=0.05)
-    # Nowhere else is it known.
+    # Without its folder the object is unknown.
     capsys.readouterr()
     assert run_command("test", words) == 2
     message = capsys.readouterr().err
     assert "unknown object 'carton'" in message and "dgrasp object add MESH --name carton" in message
     assert run_command("test", [*words, f"objects={tmp_path / 'none'}"]) == 2
     assert "objects: no folder" in capsys.readouterr().err
-    # In the data's own folder of objects it is found without a word.
+    # In the data's own folder of objects it is found without an option.
     (tmp_path / "mine").rename(data / "objects")
     choice = resolve(load_config(None, [f"data={data}", f"labels.source={tmp_path / 'my.npz'}"]))
     assert choice.added["carton"].folder == data / "objects" / "carton"

@@ -32,7 +32,7 @@ TORUS = trimesh.creation.torus(0.05, 0.015, major_sections=48, minor_sections=24
 
 @pytest.fixture
 def hull_for_parts(monkeypatch: pytest.MonkeyPatch) -> Callable[[float], None]:
-    """Instead of a convex decomposition, which takes long: the mesh's own hull, shrunk to a share of its size."""
+    """Replaces the slow convex decomposition: gives the mesh's own hull, shrunk to a share of its size."""
 
     def set_share(share: float) -> None:
         def parts(file: Path) -> tuple[Shape, ...]:

@@ -102,7 +102,7 @@ def test_contact_stays_cheap_and_connected(entry: CatalogueObject) -> None:
     shapes = free_object(entry.name, "ycb", False).shapes
     assert 1 <= len(shapes) <= 24
     assert all(np.linalg.norm(shape.quaternion) == pytest.approx(1) for shape in shapes)
-    # All parts hang together: walk from part to part that it touches.
+    # All parts are connected: walk from each part to those that it touches.
     reached, waiting = {0}, [0]
     while waiting:
         part = waiting.pop()

@@ -20,7 +20,7 @@ from tests.labels.distances import signed_distance
 
 each_object = pytest.mark.parametrize("entry", CATALOGUE, ids=lambda entry: entry.name)
 HANDLES = {"019_pitcher_base": 1, "025_mug": 1, "037_scissors": 2}
-"""Holes through an object."""
+"""Number of holes through an object."""
 SHELLS = ("019_pitcher_base", "024_bowl", "025_mug")
 
 
@@ -42,9 +42,9 @@ def test_close_to_what_is_simulated(entry: CatalogueObject) -> None:
     vertices, faces = free_mesh(entry.name)
     mine, simulated = body([(vertices, faces)]).solid, body([shape_mesh(shape) for shape in model.shapes]).solid
     common = (mine ^ simulated).volume()
-    # Walls of 5 mm that are round here and flat there have less in common than solids.
+    # Walls of 5 mm, round in one and flat in the other, overlap less than solids do.
     assert common / (mine.volume() + simulated.volume() - common) > (0.7 if entry.name in SHELLS else 0.77)
-    # Nothing that a finger could meet in the one and not in the other is larger than a fingertip.
+    # No difference between the two that a finger could meet is larger than a fingertip.
     assert signed_distance(model.shapes, vertices).max() < 0.0072
     assert mine.volume() == pytest.approx(simulated.volume(), rel=0.12)
 
@@ -66,7 +66,7 @@ def test_volumes_by_hand() -> None:
         return float(trimesh.Trimesh(*free_mesh(name), process=False).volume)
 
     assert volume("004_sugar_box") == pytest.approx(0.038 * 0.089 * 0.175)
-    # A cylinder less two lids, 1.5 mm deep and of a radius 2.5 mm smaller; corners of a circle cost half a percent.
+    # A cylinder minus two lids, 1.5 mm deep and of a radius 2.5 mm smaller; corners of a circle cost half a percent.
     can = math.pi * (0.051**2 * 0.139 - 2 * 0.0015 * 0.0485**2)
     assert volume("002_master_chef_can") == pytest.approx(can, rel=5e-3)
     # Two sides 47 mm long and two half discs of 25 mm.

@@ -1,4 +1,4 @@
-"""Mesh files: four formats, units, and everything that is no mesh."""
+"""Mesh files: four formats, units, and everything that is not a mesh."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ def test_units_in_doubt_are_asked_for(tmp_path: Path) -> None:
     assert np.ptp(read.scaled("cm")[0], axis=0) == pytest.approx((0.18, 0.09, 0.09))
     with pytest.raises(DataError, match=r"the longest side is 18 m in m; expected 0\.5 cm to 100 cm"):
         read.scaled("m")
-    # 0.7 may be a long object in m; that it is 7 mm long is no better guess.
+    # 0.7 may be a long object in m, or one of 7 mm in cm; neither is a better guess.
     for size in (5000.0, 0.7, 0.001):
         with pytest.raises(DataError, match=r"no usual object .*expected 1 cm to 50 cm; state --units"):
             read_mesh_file(save(box((size, size, size)), tmp_path / "b.obj")).scaled("auto")
@@ -89,7 +89,7 @@ def test_a_vertex_that_no_face_uses_has_no_size(tmp_path: Path) -> None:
 
 
 def glb(content: dict) -> bytes:
-    """A GLB file of a JSON chunk alone."""
+    """A GLB file with only a JSON chunk."""
     text = json.dumps(content).encode()
     text += b" " * (-len(text) % 4)
     return b"glTF" + struct.pack("<III", 2, 20 + len(text), len(text)) + b"JSON" + text
@@ -153,10 +153,10 @@ def test_a_folder_a_missing_file_and_one_too_large(tmp_path: Path, monkeypatch: 
             read_mesh_file(path)
     path = save(joined(box(), box()), tmp_path / "a.obj")
     monkeypatch.setattr(mesh_reader, "MAX_FACES", 20)
-    with pytest.raises(DataError, match="24 faces; at most 20 are taken"):
+    with pytest.raises(DataError, match="24 faces; at most 20 are allowed"):
         read_mesh_file(path)
     monkeypatch.setattr(mesh_reader, "MAX_BYTES", 100)
-    with pytest.raises(DataError, match="bytes; at most 100 are taken"):
+    with pytest.raises(DataError, match="bytes; at most 100 are allowed"):
         read_mesh_file(path)
 
 

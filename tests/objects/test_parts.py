@@ -1,4 +1,4 @@
-"""Convex parts: what is cut, what is kept in the cache, and what happens when the cache or the mesh is no good."""
+"""Convex parts: what is cut, what is kept in the cache, and what happens if the cache or the mesh is unusable."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def write_l_shape(path: Path, edge: float = EDGE) -> Path:
 
 @pytest.fixture(autouse=True)
 def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A cache of the test's own."""
+    """A cache for one test."""
     monkeypatch.setenv("DGRASP_CACHE", str(tmp_path / "cache"))
     parts._temporary_root.cache_clear()
     return tmp_path / "cache"
@@ -163,7 +163,7 @@ def test_those_who_make_the_same_entry_at_once_get_whole_ones(
     together = Barrier(4)
 
     def run(vertices: Array, faces: Array, settings: PartSettings) -> list[Array]:
-        # Each finds other parts, as if the library were not the same everywhere.
+        # Each finds different parts, as if each had another version of the library.
         size = 1.0 + 0.1 * together.wait(timeout=20)
         return [CUBE * size, CUBE * size + 2.0]
 
@@ -279,7 +279,7 @@ def test_other_kinds_of_shape_are_left_alone(tmp_path: Path, cuts: list[PartSett
 
 
 def test_triangles_are_for_pybullet_alone() -> None:
-    with pytest.raises(ConfigError, match=r"physics\.concave: mujoco collides no concave meshes"):
+    with pytest.raises(ConfigError, match=r"physics\.concave: mujoco does not support concave meshes"):
         load_config(None, ["engine=mujoco", "physics.concave=mesh"])
     assert load_config(None, ["engine=mujoco"]).physics.concave == "auto"
 

@@ -95,7 +95,7 @@ def test_authors_objects(entry: CatalogueObject) -> None:
     assert model.inertia == pytest.approx(model.inertia.T)
     low, middle, high = np.linalg.eigvalsh(model.inertia)
     assert low > 0 and high <= low + middle
-    # No body is harder to turn than two lumps at the ends of its bounding box's diagonal.
+    # No body has a larger moment than two lumps at the ends of its bounding box's diagonal.
     assert high <= model.mass * (np.linalg.norm(entry.extents) / 2) ** 2
     assert np.abs(model.center_of_mass_O).max() < 0.03
 

@@ -1,4 +1,4 @@
-"""Repairs: what is mended, what is built anew, what is refused. Volumes worked out by hand."""
+"""Repairs: what is mended, what is rebuilt, what is refused. Volumes worked out by hand."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def test_a_sound_mesh_stays_as_it_is() -> None:
 
 def test_a_torus_keeps_its_hole() -> None:
     solid = mended(trimesh.creation.torus(0.05, 0.015, major_sections=64, minor_sections=32))
-    # 2 pi^2 R r^2, and its polygons inside of both circles.
+    # 2 pi^2 R r^2, and its polygons inside both circles.
     assert solid.solid.volume() == pytest.approx(2 * np.pi**2 * 0.05 * 0.015**2, rel=0.02)
     assert solid.solid.genus() == 1 and solid.notes == ()
 
@@ -54,7 +54,7 @@ def test_holes_are_closed_up_to_a_fifth_of_the_surface() -> None:
     cube = trimesh.creation.box((0.04, 0.04, 0.04))
     one_face = plain(cube.vertices, cube.faces[cube.face_normals[:, 2] < 0.5])
     solid = mended(one_face)
-    # One of six sides is the fifth part of the five that are there.
+    # The missing side is a fifth of the five that are there.
     assert solid.solid.volume() == pytest.approx(0.04**3) and solid.notes == ("1 hole closed (20.0% of the surface)",)
     ball = trimesh.creation.icosphere(3, 0.03)
     holed = plain(ball.vertices, ball.faces[20:])

@@ -60,7 +60,7 @@ def test_state_and_limits(arm: ArticulatedSystem) -> None:
 
 
 def test_coordinates_are_those_that_bullet_has(world: World, tmp_path: Path) -> None:
-    """The controller adds up positions itself; frames come from the engine."""
+    """The coordinates come from the controller, the frames from the engine."""
     chain = world.add_articulated_system(write_chain(tmp_path / "chain.urdf", 3, limit=0.4))
     chain.set_pd_gains(20, 0.1)
     chain.set_pd_target([2.0, -0.3, 0.1])
@@ -91,7 +91,7 @@ def test_gains_may_be_one_number(arm: ArticulatedSystem) -> None:
 
 
 def test_without_gains_a_system_just_falls(world: World, arm: ArticulatedSystem) -> None:
-    """The slide carries all 8 kg and falls freely; motors that PyBullet switches on would hold it."""
+    """The slide carries all 8 kg and falls freely; PyBullet's default motors would hold it."""
     arm.set_state([1.5, 0.0, 0.0])
     world.integrate(1)
     assert arm.generalized_velocity[0] == pytest.approx(-9.81 * world.timestep, rel=0.05)

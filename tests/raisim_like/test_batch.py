@@ -1,4 +1,4 @@
-"""The door to the engines: a batch does what its worlds do alone, writes in place, and survives a world that breaks."""
+"""The interface to the engines: a batch equals its worlds alone, writes in place, and survives a world that breaks."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def arms(tmp_path: Path) -> tuple[UrdfModel, UrdfModel]:
 
 
 def spec(arms: Sequence[UrdfModel], seed: int) -> WorldSpec:
-    """Two arms, a ball and a box of other sizes in every world, and the ground."""
+    """Two arms, a ball and a box whose sizes differ between worlds, and the ground."""
     radius, side = 0.04 + 0.01 * seed, 0.1 + 0.02 * seed
     bodies = (
         BodySpec((Shape("sphere", (radius,)),), 0.2, 1e-4 * np.eye(3), np.zeros(3), "ball", collision_mask(BODY, ANY)),
@@ -45,7 +45,7 @@ def spec(arms: Sequence[UrdfModel], seed: int) -> WorldSpec:
 
 
 class Start:
-    """Where world `seed` begins, and how it is driven."""
+    """The start of world `seed`, and its drive."""
 
     def __init__(self, seed: int) -> None:
         rng = np.random.default_rng(seed)
@@ -145,7 +145,7 @@ def test_a_batch_is_its_worlds_alone_to_the_bit(engine: str, arms: tuple[UrdfMod
 
 
 def test_the_arm_feels_the_ball_that_falls_on_it(engine: str, arms: tuple[UrdfModel, UrdfModel]) -> None:
-    """It falls on the end of the first link of the first arm."""
+    """The ball falls on the end of the first link of the first arm."""
     batch = make(engine, arms, (1,))
     begin(batch, [0], (1,))
     impulses, most = np.zeros((1, 5)), np.zeros(5)
@@ -180,7 +180,7 @@ def test_arrays_are_written_in_place_and_other_rows_left_alone(
 
 
 def test_a_body_moves_while_all_else_goes_on(engine: str, arms: tuple[UrdfModel, UrdfModel]) -> None:
-    """The ground goes down by 1 m under the box at rest, which falls freely from there."""
+    """The ground drops by 1 m under the resting box, which then falls freely."""
     batch = make(engine, arms, (1, 2))
     begin(batch, range(2), (1, 2))
     for _ in range(30):

@@ -1,4 +1,4 @@
-"""Contact impulses: who presses on whom, how hard, and in which direction."""
+"""Contact impulses: which bodies press on each other, how hard, and in which direction."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ def test_an_impact_changes_momentum_by_its_impulse(world: World) -> None:
     for _ in range(60):
         world.integrate(1)
         total += DT * force(second, first)
-    # Both leave at 1 / 3.5 m/s, so the second has got 2.5 / 3.5 N s.
+    # Both leave at 1 / 3.5 m/s, so the second has received 2.5 / 3.5 N s.
     assert total == pytest.approx([2.5 / 3.5, 0, 0], abs=1e-9)
 
 

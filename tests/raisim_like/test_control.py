@@ -1,4 +1,4 @@
-"""PD control against RaiSim's implicit law and against statics: what a joint does freely, loaded, and at its limits."""
+"""PD control against RaiSim's implicit law and against statics, for a joint that is free, loaded, or at its limits."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ def test_one_joint_is_the_implicit_law_exactly(world: World, tmp_path: Path) -> 
 
 
 def test_blocks_of_the_fast_preset_end_with_the_implicit_law_s_velocity(tmp_path: Path) -> None:
-    """v at the end of a block is what the law makes of the block's start, and v went there linearly."""
+    """v at the end of a block is what the law gives for the block's start, and v changes linearly up to there."""
     world = World("pybullet", DT, "fast")
     world.set_gravity((0, 0, 0))
     system = add(world, write_chain(tmp_path / "arm.urdf"))
@@ -201,13 +201,13 @@ def test_a_free_hand_is_a_substep_or_so_late_with_the_fast_preset(hand_model: ob
     for expected, _ in implicit_steps(system, q, target, np.zeros(51), 15):
         world.integrate(13)
         errors.append(np.abs(system.generalized_coordinate - expected).max())
-    # After the jump of the target, of up to 0.28 rad, a block goes to its velocity in a straight line.
+    # After the target jumps by up to 0.28 rad, the velocity changes linearly within a block.
     assert errors[0] < 0.02 and max(errors[1:]) < 8e-3 and max(errors[3:]) < 2e-3
     world.close()
 
 
 def test_a_load_is_felt_by_the_light_arm_not_by_the_simulated_one(world: World, tmp_path: Path) -> None:
-    """Without gains and damping gravity alone acts, and the observer makes up for the inflated inertia."""
+    """Without gains and damping only gravity acts, and the observer makes up for the inflated inertia."""
     world.set_gravity((0, 0, -G / 10))
     m, length = 0.01, 0.05
     system = add(world, write_chain(tmp_path / "arm.urdf", mass=m, length=length, damping=0.0), kp=0.0, kd=0.0)
@@ -256,7 +256,7 @@ def test_joint_limits_hold(world: World, tmp_path: Path, target: float) -> None:
     for _ in range(60):
         world.integrate(1)
         fastest = max(fastest, abs(system.generalized_velocity[0]))
-    # The limit acts once the joint has passed it, at most one substep too late, and nothing pulls it back.
+    # The limit acts once the joint has passed it, at most one substep late, and nothing pulls the joint back.
     stopped = system.generalized_coordinate[0]
     # MuJoCo's limit gives way by a ten-thousandth of what the motor would do in each substep.
     creep = 1e-9 if world.engine.name == "pybullet" else 2e-3 * abs(target - stopped)

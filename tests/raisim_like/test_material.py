@@ -13,7 +13,7 @@ from raisim_like.material import MaterialTable
 
 G = 9.81
 SLIDING = {"pybullet": 1e-4, "mujoco": 5e-3}
-"""m/s after 100 substeps; in MuJoCo contact takes some substeps to find the force of a block that is already fast."""
+"""m/s after 100 substeps; in MuJoCo a contact takes some substeps to find the force on a block that already moves."""
 
 
 def pairs(*materials: str) -> set[frozenset[str]]:
@@ -54,7 +54,7 @@ def test_what_a_product_cannot_give_is_refused() -> None:
     table.set_pair("a", "b", 0.9)
     with pytest.raises(EngineError, match="multiplies one friction coefficient per body") as error:
         factors(table, ["a", "a", "b", "b"], pairs("a", "a", "b", "b"))
-    assert "'a'" in str(error.value) and "choose pairs that factor" in str(error.value)
+    assert "'a'" in str(error.value) and "products of one coefficient per material" in str(error.value)
 
 
 def test_the_world_refuses_it_when_the_second_body_makes_it_matter() -> None:
@@ -63,7 +63,7 @@ def test_the_world_refuses_it_when_the_second_body_makes_it_matter() -> None:
         world.set_material_pair(first, second, friction)
     for material in "aab":
         world.add_box(0.1, 0.1, 0.1, 1.0, material)
-    with pytest.raises(EngineError, match="factor"):
+    with pytest.raises(EngineError, match="products of one coefficient"):
         world.add_box(0.1, 0.1, 0.1, 1.0, "b")
     world.close()
 
@@ -82,7 +82,7 @@ def test_blocks_slow_down_by_their_own_pairs(engine: str, first: float, second: 
     blocks = [world.add_box(0.2, 0.2, 0.04, 1.0, material) for material in ("first", "second")]
     for i, block in enumerate(blocks):
         block.set_state((0, i, 0.02), linear=(2, 0, 0))
-    world.set_material_pair("second", "ground", second)  # Bodies that are there already follow.
+    world.set_material_pair("second", "ground", second)  # It also applies to existing bodies.
     world.integrate(100)
     for block, friction in zip(blocks, (first, second), strict=True):
         expected = 2.0 - friction * G * 100 * world.timestep

@@ -1,4 +1,4 @@
-"""Outside forces, momenta and energies of bodies and systems, against the formulas of mechanics."""
+"""External forces, momenta and energies of bodies and systems, against the formulas of mechanics."""
 
 from __future__ import annotations
 
@@ -150,7 +150,7 @@ def moving_hand(world: World) -> tuple[ArticulatedSystem, Array, Array]:
 
 def test_a_system_s_energy_is_that_of_its_links(world: World) -> None:
     hand, q, v = moving_hand(world)
-    # The textbook's matrix for spheres of the mean inertia, and what the true inertias differ from them.
+    # The textbook's matrix for spheres of the mean inertia; the tolerance covers the difference to the true ones.
     mean = np.array([np.trace(link.inertia) / 3 for link in hand.model.links])
     energy = v @ mass_matrix(hand.model, q, mean) @ v / 2
     assert hand.kinetic_energy == pytest.approx(energy, rel=2e-3)
@@ -170,7 +170,7 @@ def test_a_system_s_momentum_is_its_mass_times_the_speed_of_its_centre(world: Wo
 
 
 def test_angular_momentum_of_one_link_by_hand(world: World, tmp_path: Path) -> None:
-    """A point mass at the end of an arm about y: L = m l^2 w about the joint, and (t - p) x m v more about p."""
+    """A point mass at the end of an arm about y: L = m l^2 w about the joint, and (t - p) x m v is added about p."""
     system = world.add_articulated_system(write_chain(tmp_path / "arm.urdf", mass=0.3, length=0.2))
     system.set_base_pose((1, 0, 0))
     system.set_state([0.0], [3.0])
@@ -195,7 +195,7 @@ def test_a_thrown_body_keeps_its_momenta_and_its_energy(world: World) -> None:
     world.integrate(100)
     assert body.linear_momentum == pytest.approx(momentum - [0, 0, 2.0 * G * 100 * DT], abs=1e-9)
     assert np.linalg.norm(body.angular_momentum(body.center_of_mass) - spin) < 0.01 * np.linalg.norm(spin)
-    # Semi-implicit Euler loses m g^2 dt t / 2 of the potential's energy.
+    # Semi-implicit Euler loses m g^2 dt t / 2 of the potential energy.
     lost = 2.0 * G**2 * DT * 100 * DT / 2
     assert body.kinetic_energy + body.potential_energy == pytest.approx(total - lost, abs=2e-4)
     about = body.angular_momentum((3.0, 0, 0))

@@ -1,4 +1,4 @@
-"""What only MuJoCo has: control inside the model, a model that is compiled anew, its own contact law and materials."""
+"""What only MuJoCo has: control inside the model, a model that is recompiled, its own contact law and materials."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def test_one_joint_is_the_implicit_law_exactly(world: World, tmp_path: Path) -> 
 
 
 def test_with_the_fast_preset_a_joint_is_the_implicit_law_of_longer_steps(tmp_path: Path) -> None:
-    """13 timesteps are 7 steps of the engine, one is one."""
+    """13 timesteps are 7 engine steps, and one timestep is one."""
     world = World("mujoco", DT, "fast")
     world.set_gravity((0, 0, 0))
     system = world.add_articulated_system(write_chain(tmp_path / "arm.urdf"))
@@ -70,7 +70,7 @@ def test_with_the_fast_preset_a_joint_is_the_implicit_law_of_longer_steps(tmp_pa
 
 
 def test_the_fast_preset_keeps_impulses_those_of_a_timestep() -> None:
-    """Of contacts as they are read, and of outside forces."""
+    """This holds for contacts as they are read and for external forces."""
     world = World("mujoco", DT, "fast")
     world.add_ground()
     box, pushed = world.add_box(0.1, 0.1, 0.1, 2.0), world.add_box(0.1, 0.1, 0.1, 0.5)
@@ -86,7 +86,7 @@ def test_the_fast_preset_keeps_impulses_those_of_a_timestep() -> None:
 
 
 def test_the_mass_matrix_is_the_links_alone(world: World) -> None:
-    """Whatever the gains; links lighter than the light hand's get its inertia."""
+    """The gains make no difference. Links lighter than those of the light hand get its inertia."""
     system = world.add_articulated_system(URDF_PATH)
     system.set_base_pose((1, 2, 3), (np.sqrt(0.5), 0, np.sqrt(0.5), 0))
     q = np.random.default_rng(1).uniform(-0.5, 0.5, system.dof)
@@ -117,7 +117,7 @@ def test_states_gains_and_targets_outlive_bodies_that_come_and_go(world: World, 
     now = first.state, wall.state, arm.generalized_coordinate, arm.generalized_velocity, *arm.frame_pose("link1")
     assert all(np.array_equal(a, b) for a, b in zip(states, now, strict=True))
     world.integrate(600)
-    # It still is where its target and its weight want it: kp (q* - q) is gravity's moment.
+    # It is still where target and weight balance: kp (q* - q) is gravity's moment.
     assert np.abs(arm.generalized_coordinate - [0.3, -0.2]).max() < 0.1
 
 
@@ -161,16 +161,16 @@ def test_a_sliding_block_stays_on_the_ground(world: World, speed: float) -> None
         found = [c for c in block.contacts() if c.body_b == ground.id]
         assert sum(c.impulse for c in found) == pytest.approx(G * DT, rel=0.03)
         assert sum(c.tangential_impulse_W for c in found)[0] == pytest.approx(-0.5 * G * DT, rel=0.03)
-    # What the law costs: it works itself in by friction * timestep * speed.
+    # The cost of the law: the block sinks in by friction * timestep * speed.
     assert 0.03 - block.position[2] == pytest.approx(0.5 * DT * speed, abs=1e-4)
 
 
 def test_any_table_of_materials_is_exact(world: World) -> None:
-    """Of these pairs PyBullet could not have all: a with a and b with b are slippery, a with b is not."""
+    """PyBullet cannot have all of these pairs: a with a and b with b are slippery, a with b is not."""
     for first, second, friction in (("a", "a", 0.1), ("b", "b", 0.1), ("a", "b", 0.7)):
         world.set_material_pair(first, second, friction)
     ground = world.add_ground(material="a")
-    # A wall in the ground, of a pair with a friction of its own: nothing can move there, and nothing touches.
+    # A wall inside the ground, with a friction of its own: neither can move, so they make no contact.
     world.add_body([Shape("box", (0.1, 0.1, 0.1))], 0.0, np.eye(3), material="b").set_state((5, 5, 0))
     blocks = [world.add_box(0.2, 0.2, 0.04, 1.0, material) for material in ("a", "b", "c")]
     for i, block in enumerate(blocks):
@@ -182,7 +182,7 @@ def test_any_table_of_materials_is_exact(world: World) -> None:
 
 
 def test_a_system_s_friction_with_itself_is_its_own_pair(world: World, tmp_path: Path) -> None:
-    """Two balls of one system rub against each other, but not against what they hang on."""
+    """Two balls of one system rub against each other, but not against the links that carry them."""
     world.set_gravity((0, 0, 0))
     path = tmp_path / "pair.urdf"
     link = (
@@ -213,7 +213,7 @@ def test_a_world_that_breaks_leaves_no_file(world: World, tmp_path: Path, monkey
 
 
 def test_an_inertia_that_no_solid_has_is_raised_to_one_that_turns(world: World) -> None:
-    """MuJoCo wants the largest principal moment to be at most the sum of the others; careless files have less."""
+    """MuJoCo requires each principal moment to be at most the sum of the others; careless files break this."""
     world.set_gravity((0, 0, 0))
     body = world.add_body([Shape("sphere", (0.05,))], 1.0, np.diag([1e-4, 5e-4, 2e-3]))
     body.set_state((0, 0, 0), angular=(0, 0, 3))
@@ -225,7 +225,7 @@ def test_more_masks_than_bits_are_refused(world: World) -> None:
     for i in range(32):
         mask = collision_mask(BODY, (i & 1) * STATIC | (i & 2) * BODY | (i >> 2) << 3)
         world.add_body([Shape("sphere", (0.05,))], 1.0, np.eye(3), mask=mask)
-    with pytest.raises(EngineError, match="31 kinds of collision masks apart, a world with 32"):
+    with pytest.raises(EngineError, match="31 kinds of collision masks, but this world has 32"):
         world.integrate(1)
     assert SYSTEM == 4
 

@@ -39,7 +39,7 @@ def test_free_fall_is_semi_implicit_euler(world: World) -> None:
     assert box.linear_velocity == pytest.approx([0.3, 0, 1 - n * G * DT], abs=1e-13)
     # v_k = v_0 - k g dt; the position sums these, k from 1 to n.
     assert box.position == pytest.approx([0.3 * n * DT, 0, 5 + n * DT - G * DT**2 * n * (n + 1) / 2], abs=1e-13)
-    # Against the parabola: half a substep's worth of the velocity.
+    # Against the parabola: the difference is half a substep times the velocity.
     t = n * DT
     assert box.position[2] == pytest.approx(5 + t - G * t**2 / 2, abs=1.01 * G * DT * t / 2)
 
@@ -123,7 +123,7 @@ def test_bodies_rest_on_their_lowest_point(world: World, shape: Shape, lowest: f
     body = world.add_body([shape], 1.0, np.eye(3), center_of_mass=(0, 0, shape.position[2]))
     body.set_state((0, 0, 0.5 + lowest + 0.002))
     world.integrate(300)
-    # Without error reduction a body stays as deep as its last step before contact took it: g t dt, 1 mm at most.
+    # Without error reduction a body stays as deep as its last step before contact took it, at most g t dt = 1 mm.
     assert body.position[2] == pytest.approx(0.5 + lowest, abs=1.1e-3)
     assert np.abs(body.linear_velocity).max() < 1e-3
 

@@ -42,7 +42,7 @@ def test_euler_angles_survive_a_round_trip_within_half_a_turn_about_y() -> None:
 def test_near_the_gimbal_lock_the_angles_still_give_the_matrix(sign: float, short_of_lock: float) -> None:
     R = matrix_from_euler(np.array([[0.7, sign * (np.pi / 2 - short_of_lock), -0.4]]))
     angles = euler_from_matrix(R)
-    # Counted as locked from sin b = 1 - 1e-12, which is cos b = 1.4e-6: so much of the third angle may be lost.
+    # Angles count as locked from sin b = 1 - 1e-12 on, where cos b = 1.4e-6; that much of the third may be lost.
     assert np.abs(matrix_from_euler(angles) - R).max() < 1.5e-6
     if short_of_lock == 0.0:
         assert angles[0, 2] == 0.0

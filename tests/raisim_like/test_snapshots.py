@@ -1,4 +1,4 @@
-"""Worlds that are saved and taken back: what follows is the same to the bit."""
+"""Worlds that are saved and restored: what follows is identical to the bit."""
 
 from __future__ import annotations
 
@@ -114,11 +114,11 @@ def test_a_snapshot_is_of_one_world_and_its_bodies(scene: Scene, tmp_path: Path)
     world = scene[0]
     snapshot = world.save()
     other = World(world.engine.name)
-    with pytest.raises(EngineError, match="of another world"):
+    with pytest.raises(EngineError, match="belongs to another world"):
         other.restore(snapshot)
     other.close()
     arm = world.add_articulated_system(write_chain(tmp_path / "arm.urdf"))
-    with pytest.raises(EngineError, match="bodies have come or gone"):
+    with pytest.raises(EngineError, match="bodies were added or removed"):
         world.restore(snapshot)
     world.remove(arm)
 
@@ -135,7 +135,7 @@ def test_snapshots_may_outlive_their_world(engine: str) -> None:
 
 
 def test_snapshots_of_a_closed_world_leave_later_ones_alone(engine: str) -> None:
-    """A new world gets what numbers the closed one had, of itself and of its states."""
+    """A new world reuses the closed one's numbers, its own and those of its states."""
     closed = World(engine)
     closed.add_sphere(0.1, 1.0)
     old = closed.save()

@@ -55,7 +55,7 @@ def read(tmp_path: Path, text: str) -> UrdfModel:
 
 
 def body(link: str = "", joint: str = "", kind: str = "revolute", extra: str = "") -> str:
-    """A robot with one joint, into which the tests put one mistake."""
+    """A robot with one joint; each test puts one mistake into it."""
     return (
         f'<robot name="r"><link name="a"/><link name="b">{link}</link><joint name="j" type="{kind}">'
         f'<parent link="a"/><child link="b"/>{joint}</joint>{extra}</robot>'

@@ -56,7 +56,7 @@ def test_together_is_the_same_as_alone_to_the_bit(engine: str) -> None:
 def test_a_world_that_breaks_leaves_the_others_alone(engine: str, value: float) -> None:
     model = read_urdf(URDF_PATH)
     broken, sound, alone = (hand_world(model, seed, engine) for seed in (1, 2, 2))
-    # Past the checks of `set_generalized_force`, as an unstable simulation would do it.
+    # Bypass the checks of `set_generalized_force`, as an unstable simulation would.
     broken[0].engine_world.set_feed_forward(broken[1].id, np.full(51, value))
     with np.errstate(all="ignore"):
         integrate([broken[0], sound[0]], 13)
@@ -87,7 +87,7 @@ def test_worlds_of_one_process_do_not_know_each_other(engine: str, tmp_path: Pat
 
 
 def test_worlds_with_any_number_of_systems_go_together(engine: str, tmp_path: Path) -> None:
-    """None, two of different models, and one with another timestep: each is controlled as if it were alone."""
+    """No system, two of different models, and one with another timestep: each is controlled as if it were alone."""
     one, three = write_chain(tmp_path / "one.urdf"), write_chain(tmp_path / "three.urdf", 3)
 
     def make() -> list[tuple[World, list[ArticulatedSystem | RigidBody]]]:
@@ -119,7 +119,7 @@ def test_worlds_with_any_number_of_systems_go_together(engine: str, tmp_path: Pa
 
 
 def test_models_that_come_and_go_are_not_mistaken_for_each_other(engine: str, tmp_path: Path) -> None:
-    """A new model may lie where an old one was; its joint axes are its own."""
+    """A new model may get the memory address of an old one; its joint axes are its own."""
     for joints in (1, 3, 2, 4, 1, 3):
         world = World(engine)
         system = world.add_articulated_system(write_chain(tmp_path / "chain.urdf", joints))
@@ -165,7 +165,7 @@ def test_masks_say_who_meets_whom(engine: str) -> None:
         balls.append(world.add_body([Shape("sphere", (0.05,))], 1.0, np.eye(3), mask=collision_mask(BODY, hits)))
         balls[-1].set_state((i, 0, 0.051))
     world.integrate(60)
-    # The ground takes everything, but a ball that does not take the ground falls through it.
+    # The ground collides with everything, but a ball that does not collide with the ground falls through it.
     assert [bool(ball.position[2] > 0.04) for ball in balls] == [True, True, False, False]
     world.close()
 

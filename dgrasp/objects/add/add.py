@@ -1,7 +1,7 @@
-"""A mesh file made into an object that can be grasped: repaired, fitted, weighed, pictured, and written to a folder.
+"""Make a mesh file into an object that can be grasped: repair, fit, weigh and picture it, and write it to a folder.
 
-What costs time depends on the file's content and a few choices alone, and is kept in the user's cache under a hash of
-them: the same file is never computed twice, whatever its name, its folder and its mass.
+The slow results depend only on the file's content and a few choices. They are kept in the user's cache under a hash of
+these, so that the same file is never computed twice, whatever its name, its folder and its mass.
 """
 
 from __future__ import annotations
@@ -31,20 +31,20 @@ from dgrasp.objects.add.repair import repair
 from dgrasp.types import Array
 
 DENSITY = 500.0
-"""kg/m^3 where neither mass nor density is given: household objects are part hollow."""
+"""Density if neither mass nor density is given, kg/m^3; household objects are partly hollow."""
 SURFACE_FACES = 20_000
-"""At most so many triangles are kept of a mesh."""
+"""Number of triangles to which a larger surface is simplified, if its shape allows (`simplified`)."""
 _VERSION = 2
-"""Counts changes of what is made of the same file and choices."""
+"""Increases whenever the results for the same file and choices change."""
 _MADE = "made.json"
 _THIN = 2.0
-"""mm. A box thinner than this is remarked on: what is pressed hard goes through it."""
+"""mm. A box thinner than this gets a remark, because a body that is pressed hard goes through it."""
 _SHOWN = ("remarks", "faces", "bounds_m", "volume_m3", "kind", "overlap", "tried")
 
 
 @dataclass(frozen=True)
 class Mass:
-    """How an object is weighed: by `kg` or by `density` (kg/m^3).
+    """The mass of an object: `kg`, or if that is None, by `density` (kg/m^3).
 
     center: (3,) m in O, and inertia: (3, 3) kg m^2 about it; None takes those of a homogeneous body.
     """
@@ -57,7 +57,7 @@ class Mass:
 
 @dataclass(frozen=True)
 class Added:
-    """An object's description (object.json), its folder, and whether nothing had to be computed."""
+    """An object's description (object.json), its folder, and whether its results came from the cache."""
 
     meta: dict[str, Any]
     folder: Path
@@ -68,10 +68,10 @@ def add_object(
     file: Path, to: Path, name: str, units: Units = "auto", mass: Mass | None = None, choice: Choice = "auto",
     threshold: float = OVERLAP, replace: bool = False,
 ) -> Added:
-    """Make the object `name` of a mesh file, in the folder `to`/`name`.
+    """Make the object `name` from a mesh file, in the folder `to`/`name`.
 
-    units, choice, threshold: as `MeshFile.scaled` and `fit_shapes` take them. Raises `DataError` for a file that gives
-    no object, a mass that no body has, and a folder that holds another object unless `replace`.
+    units, choice, threshold: as `MeshFile.scaled` and `fit_shapes` take them. Raises `DataError` for a file that
+    yields no object, for a mass that no body has, and for a folder that holds another object, unless `replace`.
     """
     mesh = read_mesh_file(file)
     vertices, unit = mesh.scaled(units)
@@ -99,11 +99,11 @@ def _key(mesh: MeshFile, unit: str, choice: str, threshold: float) -> str:
 
 
 Made = tuple[dict[str, Any], dict[str, bytes]]
-"""What was computed of a file: figures as plain values, and the files of the object by name."""
+"""The results for a file: figures as plain values, and the files of the object by name."""
 
 
 def _made(mesh: MeshFile, vertices: Array, unit: str, choice: Choice, threshold: float) -> tuple[Made, bool]:
-    """From the cache, or made now and put there where it can be written."""
+    """The results for a file, and whether they came from the cache. New results are written there if possible."""
     cache = user_cache_root() / "objects" / _key(mesh, unit, choice, threshold)
     found = _load(cache)
     if found is not None:
@@ -113,7 +113,7 @@ def _made(mesh: MeshFile, vertices: Array, unit: str, choice: Choice, threshold:
     except DataError as error:
         text = str(error)
         raise DataError(text if text.startswith(str(mesh.path)) else f"{mesh.path}: {text}") from None
-    # A cache that cannot be written costs time the next time, nothing else.
+    # A cache that cannot be written only costs time on the next run.
     with suppress(DataError):
         for name, content in made[1].items():
             write_atomic(cache / name, content)
@@ -123,7 +123,7 @@ def _made(mesh: MeshFile, vertices: Array, unit: str, choice: Choice, threshold:
 
 
 def _load(cache: Path) -> Made | None:
-    """An entry of the cache; None where it is absent, incomplete or damaged."""
+    """An entry of the cache; None if it is absent, incomplete or damaged."""
     try:
         entry = json.loads((cache / _MADE).read_text(encoding="utf-8"))
         files = {name: (cache / name).read_bytes() for name in entry["files"]}
@@ -142,9 +142,9 @@ def _make(mesh: MeshFile, vertices: Array, unit: str, choice: Choice, threshold:
     volume = float(solid.solid.volume())
     bounds = np.stack([points.min(axis=0), points.max(axis=0)])
     if volume < 1e-9:
-        raise DataError(f"{volume * 1e9:.2g} mm3 in all; expected an object of at least 1 mm3; check the units")
+        raise DataError(f"the volume is {volume * 1e9:.2g} mm3; expected at least 1 mm3; check the units")
     with tempfile.TemporaryDirectory(prefix="dgrasp-") as temporary:
-        # The folder's name is what the convex decomposition calls the mesh.
+        # The convex decomposition names the mesh after its folder.
         folder = Path(temporary) / mesh.path.stem
         write_atomic(folder / store.MESH_FILE, obj_text(points, faces))
         fit = fit_shapes(solid, folder, choice, threshold)
@@ -156,7 +156,7 @@ def _make(mesh: MeshFile, vertices: Array, unit: str, choice: Choice, threshold:
             entry = store.plain_shape(shape)
             if shape.file is not None:
                 content = shape.file.read_bytes()
-                # By its content, as PyBullet reads a name once: an object that is replaced is not the one before.
+                # Named by its content, because PyBullet reads a name only once and would miss a replaced object.
                 entry["file"] = f"{fit.kind}_{index:02d}_{hashlib.sha256(content).hexdigest()[:8]}.obj"
                 files[entry["file"]] = content
             shapes.append(entry)
@@ -180,7 +180,7 @@ def _describe(name: str, mesh: MeshFile, made: Made, mass: Mass) -> dict[str, An
     center = np.array(figures["center_m"]) if mass.center is None else mass.center
     inertia = mass.inertia
     if inertia is None:
-        with np.errstate(invalid="ignore"):  # Of an infinite mass; refused below.
+        with np.errstate(invalid="ignore"):  # An infinite mass is refused below.
             inertia = np.array(figures["inertia_per_density"]) * kg / volume
     try:
         store.check_mass(kg, center, inertia)
@@ -206,7 +206,7 @@ def _describe(name: str, mesh: MeshFile, made: Made, mass: Mass) -> dict[str, An
 
 
 def _write(folder: Path, files: dict[str, bytes], meta: dict[str, Any]) -> None:
-    """The object's folder in one step; one that is there makes place."""
+    """Write the object's folder in one step; it replaces an existing one."""
     try:
         folder.parent.mkdir(parents=True, exist_ok=True)
         fresh = Path(tempfile.mkdtemp(dir=folder.parent, prefix=f".{folder.name}."))
@@ -227,5 +227,5 @@ def _write(folder: Path, files: dict[str, bytes], meta: dict[str, Any]) -> None:
     finally:
         shutil.rmtree(fresh, ignore_errors=True)
         if old.is_dir() and not os.path.lexists(folder):
-            old.rename(folder)  # Stopped between the two: what was there is there again.
+            old.rename(folder)  # Stopped between the two renames: put the old folder back.
         shutil.rmtree(old, ignore_errors=True)

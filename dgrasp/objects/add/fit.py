@@ -1,6 +1,6 @@
-"""Which collision shape stands for a solid: a box, cylinder, sphere or capsule where one fits, else parts, else a mesh.
+"""Choose a solid's collision shapes: a box, cylinder, sphere or capsule if one fits, else parts, else a mesh.
 
-How well a shape fits is its volume overlap with the solid, |A and B| / |A or B| (intersection over union), by booleans.
+The measure of fit is the volume overlap with the solid, |A and B| / |A or B| (intersection over union), by booleans.
 """
 
 from __future__ import annotations
@@ -33,22 +33,23 @@ from raisim_like.urdf import shape_pose
 Choice = Literal["auto", "box", "cylinder", "sphere", "capsule", "parts", "mesh"]
 PRIMITIVES = ("box", "cylinder", "sphere", "capsule")
 OVERLAP = 0.9
-"""Overlap from which a single primitive is taken."""
+"""Smallest overlap at which a single primitive is taken."""
 PARTS_OVERLAP = 0.55
-"""Overlap from which convex parts are taken. Thin shells and bars are below it: their mesh collides then."""
+"""Smallest overlap at which convex parts are taken. Thin shells and bars are below it; then their mesh collides."""
 COLLISION_FILE = "collision.obj"
 COLLISION_FACES = 500
-"""So many triangles collide, or are cut into parts; more where a mesh of so few is no solid."""
+"""Triangles of the mesh that collides or is cut into parts; more if a mesh of so few is not a solid."""
 _FIT_FACES, _FIT_POINTS = 3000, 6000
 _EXACT = 0.998
-"""Overlap from which nothing better is looked for."""
+"""Overlap above which no better shape is sought."""
 
 
 @dataclass(frozen=True)
 class FittedShapes:
-    """The shapes that stand for a solid, in its frame. kind: of the choice. overlap: of their union with the solid.
+    """The shapes that stand for a solid, in its frame.
 
-    tried: the overlap of everything that was tried, by kind.
+    kind: the kind that was chosen. overlap: that of the shapes' union with the solid. tried: the overlap of every kind
+    that was tried.
     """
 
     kind: str
@@ -58,11 +59,11 @@ class FittedShapes:
 
 
 def fit_shapes(solid: RepairedSolid, folder: Path, choice: Choice = "auto", threshold: float = OVERLAP) -> FittedShapes:
-    """The shapes for a solid; what needs a file is written to `folder`, or lies in the user's cache.
+    """The shapes for a solid. Files that they need are written to `folder` or are in the user's cache.
 
-    choice: "auto" takes the primitive of most overlap if that reaches `threshold`, else convex parts if they reach
-    `PARTS_OVERLAP`, else the decimated mesh; any other takes that kind. Raises `DataError` where that kind cannot be
-    fitted.
+    choice: "auto" takes the primitive with the largest overlap if it reaches `threshold`, else convex parts if they
+    reach `PARTS_OVERLAP`, else the decimated mesh; any other choice takes that kind. Raises `DataError` if that kind
+    cannot be fitted.
     """
     tried: dict[str, float] = {}
     kinds = PRIMITIVES if choice == "auto" else (choice,) if choice in PRIMITIVES else ()
@@ -73,7 +74,7 @@ def fit_shapes(solid: RepairedSolid, folder: Path, choice: Choice = "auto", thre
         if choice != "auto" or tried[best] >= threshold:
             return FittedShapes(best, (fits[best][0],), tried[best], tried)
     elif kinds and choice != "auto":
-        raise DataError(f"no {choice} can be fitted, the solid is too thin; choose another --shape")
+        raise DataError(f"no {choice} can be fitted because the solid is too thin; choose another --shape")
     file = folder / COLLISION_FILE
     write_atomic(file, obj_text(*_decimated(solid).mesh))
     if choice != "mesh":
@@ -87,7 +88,7 @@ def fit_shapes(solid: RepairedSolid, folder: Path, choice: Choice = "auto", thre
 
 
 def simplified(solid: RepairedSolid, faces: int) -> RepairedSolid:
-    """The solid with about `faces` triangles where its surface moves by less than a hundredth of its size for that."""
+    """The solid with about `faces` triangles, or more if its surface would move by over a hundredth of its size."""
     size = float(np.ptp(solid.mesh[0], axis=0).max())
     made, tolerance = solid.solid, 1e-5 * size
     while made.num_tri() > faces and tolerance <= 0.01 * size:
@@ -97,7 +98,7 @@ def simplified(solid: RepairedSolid, faces: int) -> RepairedSolid:
 
 
 def _decimated(solid: RepairedSolid) -> RepairedSolid:
-    """The solid by quadric decimation, with `COLLISION_FACES` triangles or the next double of them that is a solid."""
+    """The solid decimated (quadric) to `COLLISION_FACES` triangles, doubled until the result is a solid."""
     import fast_simplification
 
     vertices, faces = solid.mesh
@@ -113,28 +114,31 @@ def _decimated(solid: RepairedSolid) -> RepairedSolid:
 
 
 def union_overlap(solid: RepairedSolid, shapes: Sequence[Shape]) -> float:
-    """Intersection over union of a solid and the union of shapes, 0 to 1; 0 where a shape is no solid."""
+    """Intersection over union of a solid and the union of shapes, 0 to 1; 0 if a shape is not a solid."""
     other = body([shape_mesh(shape) for shape in shapes]).solid
     return 0.0 if other is None else _overlap(solid.solid, other)
 
 
 def _overlap(a: Any, b: Any) -> float:
     common = float((a ^ b).volume())
-    # Surfaces that all but coincide cost booleans some digits.
+    # Booleans lose some digits on surfaces that almost coincide.
     return min(1.0, common / (float(a.volume()) + float(b.volume()) - common))
 
 
 def fit_primitive(solid: RepairedSolid, kind: str) -> tuple[Shape, float] | None:
-    """The primitive of most overlap and that overlap: the bounding one, or one fitted to points inside; or None."""
+    """The primitive with the largest overlap, and that overlap; None if none can be fitted.
+
+    The candidates are the bounding shape and one that is fitted to points inside the solid.
+    """
     import trimesh
 
     light = simplified(solid, _FIT_FACES)
     vertices, faces = light.mesh
     mesh = trimesh.Trimesh(vertices, faces, process=False)
     part = PartMesh("object", vertices, faces)
-    # The bounding shape is exact for a solid that is such a shape; points that are counted are not.
+    # The bounding shape is exact for a solid that is such a shape; a fit to counted points is not.
     starts: list[Shape] = []
-    with contextlib.suppress(QhullError, ValueError):  # Of solids nearly without a thickness.
+    with contextlib.suppress(QhullError, ValueError):  # For solids with almost no thickness.
         starts = _bounding(kind, mesh)
     rated = [(union_overlap(light, (shape,)), shape) for shape in starts]
     if not rated or rated[0][0] < _EXACT:
@@ -152,7 +156,7 @@ def fit_primitive(solid: RepairedSolid, kind: str) -> tuple[Shape, float] | None
 
 
 def _bounding(kind: str, mesh: Any) -> list[Shape]:
-    """The shape around a mesh; of spheres the one of its volume at its centre; none of capsules."""
+    """The bounding box or cylinder of a mesh, the sphere of its volume at its centre of mass, or no capsule."""
     if kind == "box":
         around = mesh.bounding_box_oriented.primitive
         x, y, z = (float(v) for v in around.extents)
@@ -168,7 +172,7 @@ def _bounding(kind: str, mesh: Any) -> list[Shape]:
 
 
 def _climbed_cylinder(start: Shape, mesh: Any) -> Shape:
-    """The cylinder near `start` that overlaps most, counted on points inside of the mesh."""
+    """The cylinder near `start` that overlaps most, counted on points inside the mesh."""
     points = inner_points(np.asarray(mesh.vertices), np.asarray(mesh.faces), _FIT_POINTS)
     if len(points) < 100:
         return start
@@ -176,7 +180,7 @@ def _climbed_cylinder(start: Shape, mesh: Any) -> Shape:
     local = (points - T[:3, 3]) @ T[:3, :3]
 
     def cost(x: Array) -> float:
-        """Less the overlap, with the axis through x[:3] along (x[3], x[4], 1), radius x[5] and length x[6]."""
+        """Minus the overlap, with the axis through x[:3] along (x[3], x[4], 1), radius x[5] and length x[6]."""
         axis = np.array([x[3], x[4], 1.0]) / math.sqrt(1.0 + x[3] ** 2 + x[4] ** 2)
         away = local - x[:3]
         along = away @ axis

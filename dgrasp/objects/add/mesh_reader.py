@@ -1,4 +1,4 @@
-"""A mesh file of a user's, read within limits: OBJ, STL, PLY or GLB, its triangles in metres."""
+"""Read a user's mesh file (OBJ, STL, PLY or GLB) within limits, and give its triangles in metres."""
 
 from __future__ import annotations
 
@@ -25,17 +25,17 @@ MAX_FACES = 500_000
 SMALLEST, LARGEST = 0.005, 1.0
 """m. Limits of an object's longest side."""
 USUAL = (0.01, 0.5)
-"""m. The longest side of an object that a hand grasps; what units are guessed by."""
+"""m. Usual range of the longest side of an object that a hand grasps, from which units are guessed."""
 
 Units = Literal["auto", "m", "cm", "mm"]
 SCALES: dict[str, float] = {"m": 1.0, "cm": 0.01, "mm": 0.001}
 _ANNOUNCED = 20 * MAX_FACES
-"""Rows that a file's header may announce in all: nothing is allocated for more."""
+"""Most rows that a file's header may announce in all; for more, nothing is allocated."""
 
 
 @dataclass(frozen=True, eq=False)
 class MeshFile:
-    """The triangles of a file as they stand there.
+    """The triangles of a file, unchanged.
 
     vertices (V, 3), in the file's units; faces (F, 3). sha256: of the file's bytes, hexadecimal.
     """
@@ -48,13 +48,13 @@ class MeshFile:
     def scaled(self, units: Units) -> tuple[Array, str]:
         """Vertices (V, 3) in m, and the units that they were in.
 
-        "auto" takes the one unit that gives an object of a `USUAL` size. Raises `DataError` where several do or none
-        does, and where the stated unit gives a size beyond `SMALLEST` and `LARGEST`.
+        "auto" takes the only unit that gives an object of a `USUAL` size. Raises `DataError` if several units do or
+        none does, and if the stated unit gives a size outside `SMALLEST` to `LARGEST`.
         """
         sides = np.ptp(self.vertices[np.unique(self.faces)], axis=0)
         longest = float(sides.max())
         if longest == 0.0:
-            raise DataError(f"{self.path}: all vertices are at one place; expected a mesh that encloses a volume")
+            raise DataError(f"{self.path}: all vertices are at the same place; expected a mesh that encloses a volume")
         choices, (low, high) = ((units,), (SMALLEST, LARGEST)) if units != "auto" else (tuple(SCALES), USUAL)
         fitting = [unit for unit in choices if low <= longest * SCALES[unit] <= high]
         if len(fitting) == 1:
@@ -66,14 +66,14 @@ class MeshFile:
         if fitting:
             sizes = " or ".join(f"{longest * SCALES[unit]:.3g} m if in {unit}" for unit in fitting)
             raise DataError(f"{self.path}: the longest side is {longest:.4g}: {sizes}; state which with --units")
-        raise DataError(f"{self.path}: the longest side is {longest:.4g}, in {', '.join(SCALES)} no usual object for a "
-                        f"hand; {allowed}; state --units, or scale the mesh")
+        raise DataError(f"{self.path}: the longest side is {longest:.4g}, which in {', '.join(SCALES)} is no "
+                        f"usual object for a hand; {allowed}; state --units, or scale the mesh")
 
 
 def read_mesh_file(path: Path) -> MeshFile:
-    """The triangles of an OBJ, STL, PLY or GLB file; of a GLB scene all meshes where they stand in it.
+    """The triangles of an OBJ, STL, PLY or GLB file; from a GLB scene, all meshes at their places in the scene.
 
-    Nothing outside of the file is read: no material, no texture, no other buffer. Raises `DataError` for a file that is
+    No other file is read: no materials, textures or external buffers. Raises `DataError` for a file that is
     missing, of another format, too large, damaged, or without faces, and for vertices that are not finite.
     """
     path = Path(path)
@@ -87,13 +87,13 @@ def read_mesh_file(path: Path) -> MeshFile:
     except DataError as error:
         raise DataError(f"{path}: {error}") from None
     except Exception as error:
-        # trimesh's parsers trip over a damaged file in many ways; for the user they are all the same.
+        # trimesh's parsers fail on a damaged file in many ways; to the user they are all the same.
         reason = " ".join(f"{type(error).__name__}: {error}".split())[:200]
         raise DataError(f"{path}: cannot be read as {suffix.upper()} ({reason}); export it again") from None
     if not len(faces):
-        raise DataError(f"{path}: no faces in it; expected a surface of triangles or polygons, no points, no lines")
+        raise DataError(f"{path}: it has no faces; expected a surface of triangles or polygons, not points or lines")
     if len(faces) > MAX_FACES:
-        raise DataError(f"{path}: {len(faces)} faces; at most {MAX_FACES} are taken; decimate the mesh first")
+        raise DataError(f"{path}: {len(faces)} faces; at most {MAX_FACES} are allowed; decimate the mesh first")
     if faces.min() < 0 or faces.max() >= len(vertices):
         raise DataError(f"{path}: a face names vertex {int(faces.max())} of {len(vertices)}; export it again")
     bad = int((~np.isfinite(vertices).all(axis=1)).sum())
@@ -107,7 +107,7 @@ def _bytes(path: Path) -> bytes:
     try:
         size = path.stat().st_size
         if size > MAX_BYTES:
-            raise DataError(f"{path}: {size} bytes; at most {MAX_BYTES} are taken; decimate the mesh first")
+            raise DataError(f"{path}: {size} bytes; at most {MAX_BYTES} are allowed; decimate the mesh first")
         raw = path.read_bytes()
     except FileNotFoundError:
         raise DataError(f"{path}: no such mesh file") from None
@@ -119,15 +119,15 @@ def _bytes(path: Path) -> bytes:
 
 
 def _parse(suffix: str, raw: bytes) -> tuple[Array, Array]:
-    import trimesh  # Late: it takes a second.
+    import trimesh  # Imported late: it takes a second.
 
     with _silence():
         scene = trimesh.load_scene(io.BytesIO(raw), file_type=suffix, process=False, skip_materials=True)
-        # A scene may show one mesh many times: counted before it is copied as often.
+        # A scene may show one mesh many times, so count its faces before they are copied as often.
         geometries = [scene.geometry[scene.graph[node][1]] for node in scene.graph.nodes_geometry]
         shown = sum(len(getattr(geometry, "faces", ())) for geometry in geometries)
         if shown > MAX_FACES:
-            raise DataError(f"{shown} faces; at most {MAX_FACES} are taken; decimate the mesh first")
+            raise DataError(f"{shown} faces; at most {MAX_FACES} are allowed; decimate the mesh first")
         meshes = [mesh for mesh in scene.dump() if isinstance(mesh, trimesh.Trimesh) and len(mesh.faces)]
     starts = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes)])
     vertices = [np.asarray(mesh.vertices, dtype=float) for mesh in meshes]
@@ -137,7 +137,7 @@ def _parse(suffix: str, raw: bytes) -> tuple[Array, Array]:
 
 @contextlib.contextmanager
 def _silence() -> Iterator[None]:
-    """No remarks of the library on a damaged file: the error that follows says what the user needs."""
+    """Suppress the library's messages about a damaged file; the error that follows says what the user needs."""
     import trimesh
 
     logger = trimesh.util.log
@@ -151,7 +151,7 @@ def _silence() -> Iterator[None]:
 
 
 def _check_header(suffix: str, raw: bytes) -> None:
-    """Refuse a file that announces more than it holds or than is taken, before anything is allocated for it."""
+    """Refuse a file that announces more than it holds or than is allowed, before any memory is allocated for it."""
     if suffix == "stl" and raw.lstrip()[:5].lower() != b"solid":
         if len(raw) < 84:
             raise DataError(f"{len(raw)} bytes, less than the header of a binary STL; the file is cut off")
@@ -162,14 +162,14 @@ def _check_header(suffix: str, raw: bytes) -> None:
     elif suffix == "ply":
         head = raw.partition(b"end_header")[0]
         counts = [int(n) for n in re.findall(rb"^element\s+\S+\s+(\d+)\s*$", head, re.MULTILINE)]
-        # The shortest row of any element is one byte in binary, and a digit with its line's end in text.
+        # The shortest row of any element is one byte in binary files, and a digit and a line end in text files.
         if sum(counts) > len(raw):
             raise DataError(f"its header announces {sum(counts)} rows, more than {len(raw)} bytes hold; the file is "
                             "damaged or cut off")
         _check_rows(sum(counts))
     elif suffix == "glb":
         if raw[:4] != b"glTF" or len(raw) < 20:
-            raise DataError("it does not begin like a GLB file; expected glTF 2.0 in its binary form")
+            raise DataError("it does not begin like a GLB file; expected binary glTF 2.0")
         length, chunk = struct.unpack_from("<II", raw, 8)
         if length != len(raw) or 20 + chunk > length:
             raise DataError(f"its header announces {length} bytes, but there are {len(raw)}; the file is damaged or "
@@ -188,4 +188,4 @@ def _count(accessor: Any) -> int:
 
 def _check_rows(rows: int) -> None:
     if rows > _ANNOUNCED:
-        raise DataError(f"its header announces {rows} rows; at most {_ANNOUNCED} are taken; decimate the mesh first")
+        raise DataError(f"its header announces {rows} rows; at most {_ANNOUNCED} are allowed; decimate the mesh first")

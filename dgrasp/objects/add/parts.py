@@ -1,7 +1,7 @@
 """Convex parts in place of a concave mesh: cut once by approximate convex decomposition, then kept in a cache.
 
-Engines collide convex bodies several times faster than triangles, and some collide nothing else. The parts are
-as good as the settings allow; docs/physics.md says how far they are from the mesh, and what that does to grasps.
+Engines collide convex bodies several times faster than triangles, and some support nothing else. The settings determine
+how close the parts are to the mesh; docs/physics.md gives the difference and its effect on grasps.
 """
 
 from __future__ import annotations
@@ -29,20 +29,20 @@ from dgrasp.types import Array
 from raisim_like.shapes import Shape
 
 _FORMAT = 1
-"""Counts changes of what is written for the same mesh and settings."""
+"""Increases whenever the files for the same mesh and settings change."""
 _MANIFEST = "parts.json"
 _SEARCH = {"mcts_iterations": 30, "mcts_nodes": 8, "mcts_max_depth": 2, "seed": 0}
-"""How long the cuts are searched for: a tenth of the library's own effort, for parts as close to the mesh."""
+"""Effort of the search for cuts: a tenth of the library's default, for parts as close to the mesh."""
 _TOLERANCE = 5e-4
-"""Share of a part's longest side. A vertex that stands out by less from the hull of the others is not needed."""
+"""Share of a part's longest side. A vertex that is left out protrudes by less than this from the hull of the others."""
 
 
 @dataclass(frozen=True)
 class PartSettings:
     """How finely a mesh is cut.
 
-    threshold: concavity that a part may keep, in halves of the mesh's longest side. max_parts, max_vertices: at
-    most so many parts, and vertices of each.
+    threshold: largest concavity of a part, in units of half the mesh's longest side. max_parts, max_vertices: most
+    parts, and most vertices of each.
     """
 
     threshold: float = 0.05
@@ -51,16 +51,16 @@ class PartSettings:
 
 
 def convex_parts(mesh_file: Path, settings: PartSettings | None = None) -> tuple[Shape, ...]:
-    """Hulls that together fill the mesh, in its frame; their files stay as long as the process does, or longer.
+    """Hulls that together fill the mesh, in its frame; their files exist at least until the process ends.
 
     The first call for a mesh takes seconds to minutes and says so on standard error. The parts are kept in the
-    user's cache folder under a hash of the mesh and the settings; a damaged entry is made anew, and where the
-    folder cannot be written they are kept in a temporary one until the process ends. The same mesh gives the same
-    parts. Raises `DataError` for a mesh that is missing, damaged or flat.
+    user's cache folder under a hash of the mesh and the settings. A damaged entry is made again. If the folder cannot
+    be written, the parts are kept in a temporary one until the process ends. The same mesh gives the same parts.
+    Raises `DataError` for a mesh that is missing, damaged or flat.
     """
     mesh_file = Path(mesh_file)
     settings = settings or PartSettings()
-    # Reading the mesh first names the trouble with it, also where its parts are in the cache.
+    # Read the mesh first, so that a problem with it is reported even if its parts are in the cache.
     key = _key(_mesh_bytes(mesh_file), settings)
     name = f"parts/{mesh_file.absolute().parent.name}-{key}"
     for root in _roots():
@@ -103,14 +103,14 @@ def _library_version() -> str:
 
 
 def _key(mesh: bytes, settings: PartSettings) -> str:
-    """Names what the parts are made from: mesh, settings, and who makes them."""
+    """A hash of what determines the parts: the mesh, the settings, the library and how it searches."""
     made_by = {"format": _FORMAT, "coacd": _library_version(), "search": _SEARCH, "tolerance": _TOLERANCE}
     text = json.dumps({**made_by, **asdict(settings)}, sort_keys=True)
     return hashlib.sha256(hashlib.sha256(mesh).digest() + text.encode()).hexdigest()[:16]
 
 
 # The cache: one file per part, named by its content, and a manifest that is written last. Processes that make the same
-# entry at the same time write the same names or different ones, but never each other's content.
+# entry at the same time never write different content under the same name.
 
 
 @cache
@@ -130,7 +130,7 @@ def _digest(text: bytes) -> str:
 
 
 def _load(folder: Path) -> list[Path]:
-    """The parts' files of an entry; none where it is absent, incomplete or damaged."""
+    """The files of an entry's parts; none if it is absent, incomplete or damaged."""
     try:
         names = json.loads((folder / _MANIFEST).read_text(encoding="utf-8"))["parts"]
         files = [folder / f"{name}.obj" for name in names]
@@ -154,7 +154,7 @@ def _store(folder: Path, texts: list[str]) -> list[Path]:
 
 
 def _decompose(mesh_file: Path, settings: PartSettings) -> list[str]:
-    """The parts of a mesh as OBJ files' text."""
+    """The parts of a mesh, each as the text of an OBJ file."""
     mesh = load_mesh(mesh_file)
     volume = mesh_properties(mesh_file).volume
     label = mesh_file.absolute().parent.name
@@ -174,7 +174,7 @@ def _decompose(mesh_file: Path, settings: PartSettings) -> list[str]:
 
 def _run_coacd(vertices: Array, faces: Array, settings: PartSettings) -> list[Array]:
     """Points (n, 3) of each part of a mesh with vertices (V, 3) and faces (F, 3)."""
-    import coacd  # Late: it is needed once per mesh.
+    import coacd  # Imported late: it is needed once per mesh.
 
     coacd.set_log_level("off")
     found = coacd.run_coacd(
@@ -184,10 +184,10 @@ def _run_coacd(vertices: Array, faces: Array, settings: PartSettings) -> list[Ar
 
 
 def reduced_hull(points: Array, max_vertices: int) -> tuple[Array, Array] | None:
-    """Vertices (V, 3) and outward faces (F, 3) of the convex hull of points (N, 3), or nearly so; None if it is flat.
+    """Vertices (V, 3) and outward faces (F, 3) of nearly the convex hull of points (N, 3); None if it is flat.
 
-    Vertices are taken one by one, always the point farthest outside of the hull so far, until none is left by more
-    than 1/2000 of the longest side or `max_vertices` are there.
+    Vertices are added one by one, always the point farthest outside the current hull, until no point is outside by more
+    than 1/2000 of the longest side or there are `max_vertices`.
     """
     from scipy.spatial import ConvexHull, QhullError
 
@@ -208,13 +208,13 @@ def reduced_hull(points: Array, max_vertices: int) -> tuple[Array, Array] | None
     normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
     inward = (normals * hull.equations[:, :3]).sum(axis=1) < 0
     faces = np.where(inward[:, None], hull.simplices[:, ::-1], hull.simplices)
-    # A point that was taken early may lie inside of what came later.
+    # A point that was added early may lie inside the final hull.
     used, numbers = np.unique(faces, return_inverse=True)
     return kept[used], numbers.reshape(faces.shape)
 
 
 def _spanning_four(points: Array) -> list[int]:
-    """Indices of four points (N, 3) far apart: they span a volume where the points do."""
+    """Indices of four points (N, 3) far apart; they span a volume if the points do."""
     first = int(np.linalg.norm(points - points.mean(axis=0), axis=1).argmax())
     away = points - points[first]
     second = int(np.linalg.norm(away, axis=1).argmax())
@@ -224,7 +224,7 @@ def _spanning_four(points: Array) -> list[int]:
 
 
 def obj_text(vertices: Array, faces: Array) -> str:
-    """Vertices (V, 3) and faces (F, 3) as a Wavefront file, nine digits."""
+    """Vertices (V, 3) and faces (F, 3) as the text of a Wavefront file, with nine digits."""
     lines = ["v {:.9g} {:.9g} {:.9g}".format(*vertex) for vertex in vertices.tolist()]
     lines += ["f {} {} {}".format(*face) for face in (faces + 1).tolist()]
     return "\n".join(lines) + "\n"

@@ -15,7 +15,7 @@ from dgrasp.types import Array
 from raisim_like.shapes import Shape
 
 SIZE = 320
-"""Pixels along the edges of each of the four pictures."""
+"""Edge of each of the four pictures, pixels."""
 _MESH_COLOR = (0.25, 0.47, 0.75)
 _COLORS = ((0.86, 0.52, 0.24), (0.93, 0.75, 0.35), (0.73, 0.36, 0.27), (0.80, 0.63, 0.52),
            (0.62, 0.47, 0.20))  # fmt: skip
@@ -23,7 +23,7 @@ _SIDES = ((1.0, -0.9, 0.7), (-0.5, -0.6, 1.2))
 
 
 def picture(mesh: Path, shapes: Sequence[Shape], bounds: Array, titles: tuple[str, str]) -> bytes:
-    """A PNG: the mesh's file on the left, the shapes on the right, under their titles.
+    """A PNG: the mesh file on the left and the shapes on the right, each under its title.
 
     bounds: (2, 3) m, lowest and highest corner of the mesh.
     """
@@ -40,7 +40,7 @@ def picture(mesh: Path, shapes: Sequence[Shape], bounds: Array, titles: tuple[st
 
 
 def _views(shapes: Sequence[tuple[Shape, tuple[float, ...]]], bounds: Array) -> list[Array]:
-    """(SIZE, SIZE, 3) uint8 per side."""
+    """One picture (SIZE, SIZE, 3) uint8 per viewing side."""
     solids = [shaded(*shape_mesh(shape), color) for shape, color in shapes]
     middle = bounds.mean(axis=0)
     away = max(1.6 * float(np.linalg.norm(bounds[1] - bounds[0])), 0.05)

@@ -1,7 +1,7 @@
-"""A solid from triangles in any disorder, on a grid: what no path from outside reaches is inside.
+"""Make a solid from triangles in any disorder, on a grid: cells that no path from outside reaches are inside.
 
-Neither winding nor connections matter, and gaps narrower than a cell close themselves. Walls thinner than two cells and
-all cavities are lost, so this is the last resort of `repair`.
+Neither winding nor connections matter, and gaps narrower than a cell close. Walls thinner than two cells and all
+cavities are lost, so this is the last resort of `repair`.
 """
 
 from __future__ import annotations
@@ -16,21 +16,21 @@ from dgrasp.types import Array
 CELLS = 64
 """Cells along the longest side."""
 _STEP = 1.5
-"""Cells between the points that the new surface is found from."""
+"""Spacing, in cells, of the points from which the new surface is found."""
 _EXPLAINED = 0.8
-"""Share of the cells on the surface that must have inside near them; what is less has no inside to speak of."""
+"""Smallest share of the surface cells that must be near an inside cell; with less, there is no real inside."""
 
 
 @dataclass(frozen=True, eq=False)
 class Rebuilt:
-    """A manifold in m, and the edge (m) of the cells that it was made from; its surface is up to about one off."""
+    """A manifold in m, and the edge (m) of the cells that it was made from; the surface is off by up to about one."""
 
     solid: Any
     pitch: float
 
 
 def rebuild(vertices: Array, faces: Array) -> Rebuilt | None:
-    """The solid within triangles (vertices (V, 3) m, faces (F, 3)); None where they hold no inside."""
+    """The solid within triangles (vertices (V, 3) m, faces (F, 3)); None if they have no inside."""
     import trimesh
     from manifold3d import Error, Manifold
     from scipy.ndimage import binary_fill_holes, distance_transform_edt
@@ -57,7 +57,7 @@ def rebuild(vertices: Array, faces: Array) -> Rebuilt | None:
 
 def _interpolated(values: Array, first: Array, pitch: float) -> Any:
     """Linear interpolation between cells as a function of x, y, z (m)."""
-    # Called some hundred thousand times, a point at a time: plain lists are several times faster there than numpy.
+    # Called some hundred thousand times, for one point each: plain lists are then several times faster than numpy.
     nx, ny, nz = values.shape
     flat = values.reshape(-1).tolist()
     ox, oy, oz = (float(v) for v in first)

@@ -1,7 +1,7 @@
-"""Triangles made into a solid: vertices merged, normals turned outwards, holes closed, bodies united.
+"""Make triangles into a solid: merge vertices, turn normals outwards, close holes, unite bodies.
 
-What cannot be mended piece by piece, such as a scan whose edges have three faces, is built anew on a grid. A surface
-without an inside is refused: to close it would be to invent an object.
+A mesh that cannot be repaired piece by piece, such as a scan with three faces at an edge, is rebuilt on a grid. A
+surface without an inside is refused, because closing it would invent an object.
 """
 
 from __future__ import annotations
@@ -20,20 +20,21 @@ from dgrasp.objects.add.rebuild import rebuild
 from dgrasp.types import Array
 
 LARGEST_CAP = 0.2
-"""Share of the surface that closed holes may make up. More is a surface by design, such as a bowl without thickness."""
+"""Largest share of the surface that closed holes may make up. With more, the mesh is an open surface by design, such as
+a bowl without thickness."""
 LARGEST_LOSS = 0.1
-"""Share of the surface that may be left out because it encloses nothing; above it the mesh is built anew."""
+"""Largest share of the surface that may be left out because it encloses nothing; above it the mesh is rebuilt."""
 _SPECK = 0.005
-"""Share of the surface below which a loose piece is noise of a scan."""
+"""Share of the surface below which a loose piece counts as scan noise."""
 _LARGEST_LID = 0.45
-"""The same of one piece; with a lid nearly of its own size it is a flap."""
+"""Largest area of a piece's caps, as a share of the piece. A piece with a cap nearly as large as itself is a flap."""
 _MAX_PIECES = 500
-"""A file of more loose pieces is no set of solids but triangles apart."""
+"""Most loose pieces; a file with more holds separate triangles, not solids."""
 
 
 @dataclass(frozen=True, eq=False)
 class RepairedSolid:
-    """A solid in m. solid: the manifold for booleans. notes: what was mended, a few words each."""
+    """A solid in m. solid: the manifold for booleans. notes: the repairs, in a few words each."""
 
     solid: Any
     notes: tuple[str, ...]
@@ -48,8 +49,8 @@ class RepairedSolid:
 def repair(vertices: Array, faces: Array) -> RepairedSolid:
     """The solid that the triangles enclose: vertices (V, 3) m, faces (F, 3) in any winding.
 
-    Pieces that overlap are united, and a closed piece inside of another and wound against it is a cavity. Raises
-    `DataError`, without the file's name, for what encloses no volume.
+    Overlapping pieces are united. A closed piece inside another with the opposite winding is a cavity. Raises
+    `DataError`, without the file's name, if the triangles enclose no volume.
     """
     vertices, faces, notes = _cleaned(vertices, faces)
     if len(faces) < 4:
@@ -70,8 +71,8 @@ def repair(vertices: Array, faces: Array) -> RepairedSolid:
     if reason:
         remade = rebuild(vertices, faces)
         if remade is None:
-            raise DataError(f"{reason}, and no grid finds an inside: a surface without thickness, or one open too "
-                            "wide; give it a thickness, or close it first")
+            raise DataError(f"{reason}, and no grid finds an inside: the surface has no thickness, or its opening "
+                            "is too wide; give it a thickness, or close it first")
         return RepairedSolid(remade.solid, (*notes, f"built anew on a grid of {1000 * remade.pitch:.1f} mm ({reason})"))
     if closed.holes:
         what = "hole" if closed.holes == 1 else "holes"
@@ -90,7 +91,7 @@ def _area(vertices: Array, faces: Array) -> float:
 
 
 def _cleaned(vertices: Array, faces: Array) -> tuple[Array, Array, list[str]]:
-    """Distinct vertices and faces, none of them without area or standing off like a fin; and what was done."""
+    """Distinct vertices, distinct faces without empty ones and fins, and notes on what was done."""
     import trimesh
 
     notes: list[str] = []
@@ -113,7 +114,7 @@ def _cleaned(vertices: Array, faces: Array) -> tuple[Array, Array, list[str]]:
 
 
 def _without_fins(faces: Array) -> Array:
-    """Faces without those that hang on an edge of three or more faces and end freely, layer by layer."""
+    """Faces without fins, which have both an edge of three or more faces and a free edge; removed layer by layer."""
     while len(faces):
         edges = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]], axis=2).reshape(-1, 2)
         _, index, counts = np.unique(edges, axis=0, return_inverse=True, return_counts=True)
@@ -127,7 +128,10 @@ def _without_fins(faces: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class _Piece:
-    """A connected piece: vertices, faces in one winding where it can be, as the file winds most of them."""
+    """A connected piece: vertices, and faces in one winding if possible, the one of most faces in the file.
+
+    area: m^2. outwards: whether that winding is outwards. mixed: whether the file winds the faces inconsistently.
+    """
 
     vertices: Array
     faces: Array
@@ -137,8 +141,10 @@ class _Piece:
 
 
 def _pieces(vertices: Array, faces: Array) -> tuple[list[_Piece], int]:
-    """Connected pieces, none where they are more than `_MAX_PIECES`, and how many; edges of three or more faces connect
-    nothing."""
+    """Connected pieces (none if there are more than `_MAX_PIECES`) and their number.
+
+    Edges of three or more faces connect nothing.
+    """
     import trimesh
 
     pieces: list[_Piece] = []
@@ -158,7 +164,7 @@ def _pieces(vertices: Array, faces: Array) -> tuple[list[_Piece], int]:
 
 @dataclass(eq=False)
 class _Closed:
-    """The pieces that are solids once their holes are closed; areas left out and capped (m^2), number of holes."""
+    """The pieces that are solids once their holes are closed, areas left out and capped (m^2), number of holes."""
 
     bodies: list[tuple[Body, _Piece]]
     lost: float = 0.0
@@ -185,7 +191,7 @@ def _close(pieces: list[_Piece]) -> _Closed:
 
 
 def _united(closed: list[tuple[Body, _Piece]]) -> tuple[Any, list[str]]:
-    """The union of the bodies less their cavities, and what was done."""
+    """The union of the bodies minus their cavities, and notes on what was done."""
     notes = []
     ordered = sorted(closed, key=lambda entry: -entry[0].solid.volume())
     solid, cavities, turned = None, 0, 0
@@ -207,7 +213,7 @@ def _united(closed: list[tuple[Body, _Piece]]) -> tuple[Any, list[str]]:
 
 
 def _within(inner: Body, outer: Body) -> bool:
-    """Whether a body lies inside of another: its box, and some of its vertices."""
+    """Whether a body lies inside another, judged by its box and some of its vertices."""
     if not ((inner.bounds[0] > outer.bounds[0]).all() and (inner.bounds[1] < outer.bounds[1]).all()):
         return False
     some = inner.vertices[:: max(1, len(inner.vertices) // 8)]

@@ -1,4 +1,4 @@
-"""Bodies and articulated systems made in a PyBullet client, without the damping that Bullet gives them."""
+"""Make bodies and articulated systems in a PyBullet client, without Bullet's default damping."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from raisim_like.urdf import UrdfModel
 
 
 def make_body(client: int, shapes: Sequence[Shape], mass: float, frame: BodyFrame, collision_mask: int) -> int:
-    """A rigid body, whose Bullet frame is `frame`'s inertial frame; mass 0 makes it static."""
+    """Make a rigid body whose Bullet frame is the inertial frame of `frame`; mass 0 makes it static. Returns its id."""
     if not shapes:
         raise EngineError("a body needs at least one shape")
     for shape in shapes:
@@ -33,7 +33,7 @@ def make_body(client: int, shapes: Sequence[Shape], mass: float, frame: BodyFram
             physicsClientId=client,
         )
     else:
-        # A URDF, for PyBullet's arrays of shapes overflow beyond 16 parts without a word.
+        # Load a URDF, because PyBullet's arrays of shapes silently overflow beyond 16 parts.
         text = compound_urdf(shapes, mass, frame.com, frame.axes)
         uid = _load(client, text, p.URDF_USE_INERTIA_FROM_FILE, fixed=False)
     if uid < 0:
@@ -47,7 +47,7 @@ def make_body(client: int, shapes: Sequence[Shape], mass: float, frame: BodyFram
 def make_articulated(
     client: int, model: UrdfModel, collision_mask: int, self_collision: bool, enforce_limits: bool
 ) -> int:
-    """An articulated system on a fixed base, its links in the order of `model`."""
+    """Make an articulated system on a fixed base, with its links in the order of `model`. Returns its id."""
     flags = p.URDF_USE_INERTIA_FROM_FILE
     if self_collision:
         flags |= p.URDF_USE_SELF_COLLISION | p.URDF_USE_SELF_COLLISION_EXCLUDE_ALL_PARENTS
@@ -94,7 +94,7 @@ def _collision_shape(client: int, shape: Shape) -> int:
 
 
 def _load(client: int, text: str, flags: int, fixed: bool) -> int:
-    """Load a URDF given as text; the world keeps no file."""
+    """Load a URDF given as text; no file remains."""
     handle, path = tempfile.mkstemp(suffix=".urdf")
     try:
         with os.fdopen(handle, "w", encoding="utf-8") as stream:

@@ -13,10 +13,10 @@ from raisim_like.engines.protocol import Array
 
 
 def link_impulses(client: int, body: int, other: int, impulse_per_force: float, out: Array) -> None:
-    """Writes the summed normal impulse of each link of `body` against `other`, (dof,) N s."""
+    """Write the summed normal impulse (N s) of each link of `body` against `other` into out (dof,)."""
     out[:] = 0.0
     for point in p.getContactPoints(body, other, physicsClientId=client):
-        # Bullet keeps several points per pair, some of them almost empty: only their sum means something.
+        # Bullet keeps several points per pair, some of them almost without force; only their sum is meaningful.
         if point[3] >= 0:
             out[point[3]] += point[9] * impulse_per_force
 
@@ -29,7 +29,7 @@ def touching(client: int, body: int, other: int) -> bool:
 def contacts_of(client: int, body: int, impulse_per_force: float) -> list[Contact]:
     """All contact points of a body."""
     found = []
-    # Asked for one body, Bullet turns pairs round but leaves friction's direction as it was; so ask for all.
+    # When asked for one body, Bullet swaps the bodies of a pair but not its friction directions, so ask for all.
     for c in p.getContactPoints(physicsClientId=client):
         if body not in (c[1], c[2]):
             continue

@@ -12,9 +12,9 @@ from raisim_like.engines.bullet.world import BulletWorld
 from raisim_like.engines.protocol import EngineWorld, engine_steps
 
 CONTROL_STEP = 13
-"""Substeps at most for which the controller keeps its mass matrices; it turns unstable when they are far from true."""
+"""Most substeps for which the controller keeps its mass matrices; outdated ones make it unstable."""
 CHUNK = 8
-"""Worlds stepped in turn, block by block: enough to batch their algebra, few enough for the cache."""
+"""Worlds that are stepped together, block by block: enough to batch their algebra, few enough for the cache."""
 
 
 class BulletEngine:

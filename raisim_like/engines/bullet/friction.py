@@ -1,4 +1,4 @@
-"""PyBullet's friction: it multiplies one coefficient of each body where a table of pairs was asked for."""
+"""Friction for PyBullet, which multiplies one coefficient per body instead of taking a table of pairs."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from raisim_like.material import MaterialTable
 
 
 def factors(table: MaterialTable, materials: list[str], touching: set[frozenset[str]]) -> dict[str, float]:
-    """One coefficient per material so that the product over each touching pair is its friction.
+    """One coefficient per material, such that the product over each touching pair is the pair's friction.
 
-    Raises `EngineError` for a table that no such coefficients can express.
+    Raises `EngineError` if no such coefficients exist for the table.
     """
     names = sorted(set(materials))
     rows, targets = [], []
@@ -35,6 +35,7 @@ def factors(table: MaterialTable, materials: list[str], touching: set[frozenset[
         pair_names = " and ".join(repr(n) for n, used in zip(names, A[worst], strict=True) if used)
         raise EngineError(
             f"PyBullet multiplies one friction coefficient per body, which cannot give {pair_names} "
-            f"the friction {np.exp(b[worst]):.3g} beside the other pairs; choose pairs that factor"
+            f"the friction {np.exp(b[worst]):.3g} together with the other pairs; choose frictions "
+            "that are products of one coefficient per material"
         )
     return {name: float(np.exp(value)) for name, value in zip(names, x, strict=True)}

@@ -1,4 +1,4 @@
-"""Mass matrices for the implicit PD: what the light hand lacks of the simulated one, and inverses (docs/physics.md)."""
+"""Mass matrices for the implicit PD (docs/physics.md): the inertia that simulation adds to a hand, and inverses."""
 
 from __future__ import annotations
 
@@ -65,19 +65,19 @@ _AXES: WeakKeyDictionary[UrdfModel, Axes] = WeakKeyDictionary()
 
 
 def axes_of(model: UrdfModel) -> Axes:
-    """Made once per model."""
+    """The `Axes` of a model, made once per model."""
     if model not in _AXES:
         _AXES[model] = Axes(model)
     return _AXES[model]
 
 
 def _branches(model: UrdfModel) -> tuple[int, int] | None:
-    """(root, size): `root` joints in a row from the base, then branches of `size` joints each; else None."""
+    """(root, size) for a chain of `root` joints from the base, then branches of `size` joints each; else None."""
     parents = [link.parent for link in model.links]
     n = root = len(parents)
     for i in range(1, n):
         if parents[i] != i - 1:
-            # The first branch hangs on the same link as this joint.
+            # The first branch starts at the same link as this joint.
             root = parents[i] + 1
             break
     size = next((i for i in range(root + 1, n) if parents[i] == root - 1), n) - root
@@ -89,10 +89,10 @@ def _branches(model: UrdfModel) -> tuple[int, int] | None:
 
 
 def inverse(M: Array, branches: tuple[int, int] | None) -> Array:
-    """Inverses of mass matrices (N, dof, dof) of a tree whose branches touch only through its root.
+    """Inverses of mass matrices (N, dof, dof) of a tree whose branches couple only through its root.
 
-    Branches of a tree do not couple, so a hand's matrix is an arrow: block elimination is three times
-    faster than a general inverse.
+    branches: from `_branches`. The branches of a hand do not couple with each other, so its matrix has the shape of
+    an arrow, and block elimination is three times faster than the general inverse that None takes.
     """
     if branches is None:
         return np.linalg.inv(M)

@@ -1,7 +1,7 @@
-"""PD control for PyBullet that feels like RaiSim's implicit PD (derivation in docs/physics.md).
+"""PD control for PyBullet that behaves like RaiSim's implicit PD (derivation in docs/physics.md).
 
 RaiSim integrates the PD law inside its contact solver, so a contact feels the inertia
-M + dt D + dt^2 K: for a finger joint that is 3e-3 kg m^2, a hundred times the finger itself. Bullet has no
+M + dt D + dt^2 K: for a finger joint that is 3e-3 kg m^2, a hundred times that of the finger itself. Bullet has no
 such term. The law here simulates a hand with inflated link inertias (mass matrix Mb) and adds the torque
 that makes it move as the light hand (mass matrix Mr) would under implicit PD:
 
@@ -13,9 +13,9 @@ that makes it move as the light hand (mass matrix Mr) would under implicit PD:
 With h exact, Mb a = tau + h: the implicit law with every outside force acting on Mh. The observer's lag is
 1 / beta substeps.
 
-Talking to Bullet costs as much as a good part of a substep, so the law runs once per block of `HOLD` steps of the
-engine: it foresees the m accelerations of the block, and one torque, held meanwhile, gives their mean. In all of
-this dt is the engine's step, which the fast preset makes longer than the world's timestep.
+Each exchange with Bullet costs a good part of a substep, so the law runs once per block of at most `HOLD` engine steps.
+It predicts the accelerations of the block's m steps and holds one torque that gives their mean. In all of this, dt is
+the engine's step, which the fast preset makes longer than the world's timestep.
 """
 
 from __future__ import annotations
@@ -32,11 +32,11 @@ from raisim_like.engines.protocol import Array
 from raisim_like.urdf import UrdfModel
 
 OBSERVER_GAIN = 0.15
-"""beta per timestep. 0.5 went unstable on stiff contacts; a slower observer lets a grip sag."""
+"""beta per timestep. 0.5 was unstable with stiff contacts; a slower observer lets a grip sag."""
 HOLD: dict[Preset, int] = {"faithful": 1, "fast": 2}
-"""Steps of the engine per torque (docs/physics.md)."""
+"""Most engine steps per torque (docs/physics.md)."""
 REFRESH_MOTION = 0.1
-"""rad or m that a joint may move before the mass matrices are computed anew; D' outweighs them by far."""
+"""Motion (rad or m) of a joint after which the mass matrices are recomputed; D' outweighs them by far."""
 
 
 class ImplicitPd:
@@ -55,8 +55,8 @@ class ImplicitPd:
         self.Mb, self.X = np.zeros((n, n)), np.zeros((n, n))
         self.forces: list[float] = []
         self.motion = np.zeros((2, n))
-        """Coordinates and velocities as Bullet last told; a row of the batch's."""
-        # Coordinates of Mb and X = Mh^-1; infinite means that they are to be computed.
+        """Coordinates and velocities that Bullet last reported; a view of the batch's array during a call."""
+        # Coordinates at which Mb and X = Mh^-1 were computed; infinite where they must be computed.
         self.q_matrices = np.full(n, np.inf)
         p.setJointMotorControlArray(uid, self.indices, p.VELOCITY_CONTROL, forces=[0.0] * n, physicsClientId=client)
 
@@ -83,14 +83,14 @@ class ImplicitPd:
         self.q_matrices[:] = np.inf
 
     def apply(self) -> None:
-        """Give Bullet the torques of the next block."""
+        """Send Bullet the torques of the next block."""
         p.setJointMotorControlArray(
             self.uid, self.indices, p.TORQUE_CONTROL, forces=self.forces, physicsClientId=self.client
         )
 
     def observe(self) -> None:
-        """Ask Bullet for coordinates and velocities."""
-        # Transposed by zip, this takes half the time of picking the two from each joint's tuple.
+        """Read coordinates and velocities from Bullet."""
+        # Transposing with zip takes half the time of picking both values from each joint's tuple.
         q, v, _, _ = zip(*p.getJointStates(self.uid, self.indices, physicsClientId=self.client), strict=True)
         self.motion[:] = q, v
 
@@ -103,7 +103,7 @@ class ImplicitPd:
 class ControlBatch:
     """Systems of one model, controlled together for one call of `engine.integrate_worlds`.
 
-    stretch: timesteps in one of the engine's steps.
+    stretch: timesteps per engine step.
     """
 
     def __init__(self, systems: Sequence[ImplicitPd], stretch: float) -> None:
@@ -125,7 +125,7 @@ class ControlBatch:
         self.dt_X = self.dt * np.array([s.X for s in systems])
 
     def _refresh(self) -> None:
-        """New mass matrices for the systems that have moved away from theirs."""
+        """Recompute the mass matrices of the systems that have moved too far since their last ones."""
         axes = self.systems[0].axes
         moved = np.abs(self.q - [s.q_matrices for s in self.systems])
         rows = np.flatnonzero((moved > REFRESH_MOTION).any(axis=1))
@@ -141,9 +141,9 @@ class ControlBatch:
             s.Mb[:], s.X[:], s.q_matrices[:] = Mb[i], X[i], s.q
 
     def push(self, steps: int) -> None:
-        """The torques of the next block, for the systems to apply."""
+        """Compute the torques of the next block, which the systems then apply."""
         v = self.v.copy()
-        # kp (q* - q) + ff - D' v + h, which changes by the motion of each substep.
+        # kp (q* - q) + ff - D' v + h, which changes with the motion of each step.
         force = self.force + self.h
         force -= self.kp * self.q
         force -= self.D * v
@@ -162,7 +162,7 @@ class ControlBatch:
             s.forces = forces
 
     def pull(self, steps: int) -> None:
-        """What the block did, and what the observer learns from it."""
+        """Take over the motion of the block and update the observer."""
         surprise = self.told[:, 1] - self.v
         self.q[:], self.v[:] = self.told[:, 0], self.told[:, 1]
         surprise /= steps * self.dt
@@ -172,17 +172,17 @@ class ControlBatch:
         self.h += gain * np.matmul(self.Mb, surprise[..., None])[..., 0]
 
     def store(self) -> None:
-        """Gives the systems their new state."""
+        """Write the new state back to the systems."""
         for i, s in enumerate(self.systems):
             s.q[:], s.v[:], s.h[:] = self.q[i], self.v[i], self.h[i]
 
 
 @cache
 def blocks(steps: int, length: float, longest: int) -> tuple[int, ...]:
-    """How the engine's `steps` of `length` seconds are divided: nearly equal blocks, none longer than `longest`.
+    """Divide `steps` engine steps of `length` seconds into nearly equal blocks; returns the steps of each block.
 
-    Bullet divides a block's duration by its number of steps; a number is used only where that gives `length` back
-    to the last bit, so that no remainder is left over for the next block.
+    No block is longer than `longest` steps. Bullet divides a block's duration by its number of steps. A number is used
+    only if this gives back `length` to the last bit, so that no remainder is left over for the next block.
     """
     exact = [m for m in range(1, longest + 1) if m * length / m == length and int(m * length / length) == m]
     numbers: list[int] = []

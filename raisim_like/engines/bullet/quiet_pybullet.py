@@ -1,4 +1,4 @@
-"""PyBullet, imported without the build time that it prints on standard error."""
+"""Import PyBullet without the build time that it prints on standard error."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def _import_quietly() -> None:
 
 
 if "pybullet" not in sys.modules:
-    # Without a standard error there is nothing to keep clean.
+    # Without a standard error there is nothing to silence.
     with contextlib.suppress(OSError):
         _import_quietly()
 import pybullet  # noqa: E402

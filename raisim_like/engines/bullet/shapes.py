@@ -18,7 +18,7 @@ SHAPE_TYPES = {
 
 
 def xyzw(quaternion: Any) -> list[float]:
-    """PyBullet's order of a quaternion given as w, x, y, z."""
+    """A quaternion w, x, y, z in PyBullet's order x, y, z, w."""
     w, x, y, z = (float(v) for v in quaternion)
     return [x, y, z, w]
 

@@ -15,7 +15,7 @@ from raisim_like.engines.protocol import Array
 
 
 class BulletSnapshot:
-    """Bullet's own state, kept inside the client until this object goes, and the controllers' arrays."""
+    """Bullet's own state, which the client keeps until this object is deleted, and the controllers' arrays."""
 
     def __init__(
         self, client: int, bodies: set[int], systems: Mapping[int, ImplicitPd], block: tuple[int, float],
@@ -31,7 +31,7 @@ class BulletSnapshot:
         self._finalizer = weakref.finalize(self, _forget, client, self.state)
 
     def write_back(self, systems: Mapping[int, ImplicitPd]) -> None:
-        """Puts Bullet and the controllers back to where they were."""
+        """Restore Bullet and the controllers to the saved state."""
         p.restoreState(stateId=self.state, physicsClientId=self.client)
         for uid, arrays in self.arrays.items():
             systems[uid].dt = self.timesteps[uid]
@@ -39,11 +39,11 @@ class BulletSnapshot:
                 getattr(systems[uid], name)[:] = value
 
     def world_closed(self) -> None:
-        """The state went with its client, whose number, and the state's, another world may get."""
+        """Forget the state, which was freed with its client; another world may reuse the numbers of both."""
         self._finalizer.detach()
 
 
 def _forget(client: int, state: int) -> None:
-    # The whole process may be ending, and the client with it.
+    # At the end of the process the client may already be gone.
     with suppress(p.error):
         p.removeState(state, physicsClientId=client)

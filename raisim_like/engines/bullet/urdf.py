@@ -1,4 +1,4 @@
-"""The URDF that PyBullet gets: collapsed links, each with mass and an inertia that its solver can digest."""
+"""The URDF for PyBullet: collapsed links, each with a mass and an inertia that its solver can handle."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from raisim_like.shapes import Shape
 from raisim_like.urdf import UrdfLink, UrdfModel, shape_pose
 
 LINK_INERTIA = 3e-4
-"""kg m^2 of every revolute link. Bullet's contact solver sees the links, not the controller; grams at the
-end of a chain would leave it unconverged, and the controller gives back the difference (`pd`)."""
+"""Inertia of every revolute link, kg m^2. Bullet's contact solver sees the links but not the controller, and it would
+not converge with a few grams at the end of a chain. The controller makes up for the difference (`pd`)."""
 WRIST_INERTIA = 1e-3
-"""The same for the links of the wrist's own rotations."""
+"""Inertia of the links of the wrist's rotations, kg m^2."""
 FAR = 1e3
-"""m. The limit of a slider that has none: PyBullet takes no prismatic joint without."""
+"""Limit of a prismatic joint that should have none, m; PyBullet requires one."""
 
 _BASE = (
     '<link name="base"><inertial><mass value="0"/>'
@@ -29,7 +29,7 @@ _BASE = (
 
 
 def simulated_inertias(model: UrdfModel) -> NDArray[Any]:
-    """(dof,) isotropic inertia of each link as simulated."""
+    """(dof,) isotropic inertia of each link as simulated, kg m^2."""
     wrist = _wrist_links(model)
     return np.array(
         [
@@ -40,7 +40,7 @@ def simulated_inertias(model: UrdfModel) -> NDArray[Any]:
 
 
 def _wrist_links(model: UrdfModel) -> set[int]:
-    """The unbranched chain of links from the base: what positions and turns the root body."""
+    """Indices of the unbranched chain of links from the base, which moves and turns the root body."""
     chain: set[int] = set()
     current = -1
     while True:

@@ -1,4 +1,4 @@
-"""A world of PyBullet behind the engine protocol: bodies, contacts, pictures."""
+"""A PyBullet world that implements the engine protocol: bodies, contacts, pictures."""
 
 from __future__ import annotations
 
@@ -28,14 +28,14 @@ from raisim_like.urdf import UrdfModel
 
 # Engine settings, each measured on grasps of 20 objects (docs/physics.md).
 SOLVER_ITERATIONS = 100
-"""Light objects between ten stiff contacts need this many to stop sinking into the fingers."""
+"""With fewer, light objects between ten stiff contacts sink into the fingers."""
 LIGHT, LIGHT_ITERATIONS = 0.05, 500
-"""kg; with a body below it in the world, the solver is given this many. A finger that is driven by the implicit law
-weighs half a kilogram to what it touches, and the solver converges the slower the more the two masses differ."""
+"""A mass in kg, and the iterations of the solver in a world with a lighter moving body. Under the implicit law, an
+object feels a finger as half a kilogram, and the solver converges more slowly the more two masses differ."""
 RESIDUAL: dict[Preset, float] = {"faithful": 0.0, "fast": 1e-7}
-"""At this change per iteration the solver stops. 1e-7 holds the same grasps as 0, but lets blocks creep on slopes."""
+"""Change per iteration at which the solver stops. 1e-7 holds the same grasps as 0 but lets blocks creep on slopes."""
 CONTACT_BREAKING_THRESHOLD = 0.001
-"""m. Bullet's 0.02 keeps contact points of parts that are centimetres apart and costs 45% of the speed."""
+"""m. Bullet's default of 0.02 keeps contact points of parts that are centimetres apart and costs 45% of the speed."""
 
 
 class _Body:
@@ -61,13 +61,13 @@ class BulletWorld:
         p.setPhysicsEngineParameter(
             solverResidualThreshold=RESIDUAL[preset],
             enableConeFriction=1,
-            # With error reduction, grasps that start inside the object are pushed into holding.
+            # With error reduction, grasps that start inside the object would be pushed into a hold.
             contactERP=0.0,
             frictionERP=0.0,
             erp=0.0,
             contactBreakingThreshold=CONTACT_BREAKING_THRESHOLD,
             deterministicOverlappingPairs=1,
-            # 0: both groups must be in the other's mask; by default one is enough.
+            # 0: each group must be in the other's mask; by default one match is enough.
             collisionFilterMode=0,
             physicsClientId=self.client,
         )
@@ -78,11 +78,14 @@ class BulletWorld:
 
     @property
     def _impulse_per_force(self) -> float:
-        """s. Bullet reports the impulses of its last step divided by the duration of the whole call."""
+        """Seconds that turn a reported force into the impulse of one timestep.
+
+        Bullet reports the impulses of its last step divided by the duration of the whole call.
+        """
         return self._block[0] * self.timestep
 
     def set_block(self, steps: int, length: float) -> None:
-        """Let Bullet take that many steps of `length` seconds per call."""
+        """Make Bullet take `steps` steps of `length` seconds per call."""
         if (steps, length) != self._block:
             p.setPhysicsEngineParameter(fixedTimeStep=steps * length, numSubSteps=steps, physicsClientId=self.client)
             self._block = steps, length
@@ -91,7 +94,7 @@ class BulletWorld:
         seconds = 0.0
         total, length = engine_steps(substeps, self.timestep, self.preset)
         for steps in blocks(total, length, HOLD[self.preset]):
-            # Bullet forgets torques with every step, and limp fingers would be another problem than a grasp.
+            # Bullet drops torques after every step, and a grasp with limp fingers would be a different problem.
             for system in self.systems.values():
                 if system.forces:
                     system.apply()
@@ -196,7 +199,7 @@ class BulletWorld:
         self._pending.add_generalized(body, force)
 
     def begin_pending(self) -> bool:
-        """Whether forces are pending that last for one substep; they now act, until `end_pending`."""
+        """Apply the pending forces, which act until `end_pending`. Returns whether there are any."""
         for body, (force, torque) in self._pending.wrenches.items():
             position, _ = p.getBasePositionAndOrientation(body, physicsClientId=self.client)
             p.applyExternalForce(body, -1, force.tolist(), position, p.WORLD_FRAME, physicsClientId=self.client)
@@ -208,7 +211,7 @@ class BulletWorld:
         return bool(self._pending)
 
     def end_pending(self) -> None:
-        """Takes the pending forces away; Bullet has dropped those on rigid bodies itself."""
+        """Remove the pending forces; Bullet itself has dropped those on rigid bodies."""
         for body, force in self._lasting.items():
             self.systems[body].feed_forward[:] = force
         self._lasting, self._pending = {}, Pending()
@@ -225,8 +228,8 @@ class BulletWorld:
         return matrix_from_quaternion(quaternions), np.array([s[4] for s in states])
 
     def forget_contacts(self) -> None:
-        # Bullet warm-starts its solver from contacts of the past, also over a teleport. Without a pair of
-        # bodies near each other the broad phase drops them, and the next episode depends on nothing before it.
+        # Bullet warm-starts its solver from past contacts, even after a teleport. With all bodies far apart, the
+        # broad phase drops those contacts, so that the next episode does not depend on anything before it.
         for k, body in enumerate([*self.bodies, *self.systems]):
             p.resetBasePositionAndOrientation(
                 body, [0.0, 100.0 * k, 1000.0], [0.0, 0.0, 0.0, 1.0], physicsClientId=self.client
@@ -247,16 +250,16 @@ class BulletWorld:
     def save(self) -> BulletSnapshot:
         snapshot = BulletSnapshot(self.client, set(self.bodies), self.systems, self._block, self._pending.copy())
         self._snapshots.add(snapshot)
-        # What Bullet restores is a little other than what it saved: contacts have fewer points. Going on from
-        # what is restored makes this run and those after a restore the same.
+        # Bullet does not restore exactly what it saved: contacts have fewer points. Restoring here makes this run
+        # continue in the same way as the runs after a later restore.
         self.restore(snapshot)
         return snapshot
 
     def restore(self, snapshot: BulletSnapshot) -> None:
         if (set(self.bodies), set(self.systems)) != (snapshot.bodies, set(snapshot.arrays)):
-            raise EngineError("bodies have come or gone since the snapshot was taken")
+            raise EngineError("bodies were added or removed since the snapshot was taken")
         self.set_block(*snapshot.block)
-        # Without this, the order of the contacts, and with it rounding, would depend on what came in between.
+        # Otherwise the order of the contacts, and with it the rounding, would depend on the steps since the snapshot.
         self.forget_contacts()
         snapshot.write_back(self.systems)
         self._pending = snapshot.pending.copy()

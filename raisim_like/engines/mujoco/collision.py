@@ -1,4 +1,4 @@
-"""Who may collide with whom, in MuJoCo's terms."""
+"""Which bodies may collide, in MuJoCo's terms."""
 
 from __future__ import annotations
 
@@ -9,17 +9,17 @@ from raisim_like.urdf import UrdfModel
 
 
 def collision_bits(masks: Mapping[int, int], within: Mapping[int, bool]) -> dict[int, tuple[int, int]]:
-    """contype and conaffinity by body id, so that two bodies collide when both of their masks say so.
+    """(contype, conaffinity) by body id, such that two bodies collide only if both of their masks allow it.
 
-    MuJoCo lets one side decide. So each mask becomes a class with one bit, and a body's affinity is the classes that
-    it agrees with. within: the articulated systems, and whether their links collide with each other; each is a class
-    of its own. Raises `EngineError` when there are more classes than bits.
+    In MuJoCo one side is enough. Therefore each mask becomes a class with one bit, and a body's affinity is the set of
+    classes that it may collide with. within: id of each articulated system -> whether its links collide with each
+    other; each system is a class of its own. Raises `EngineError` if there are more classes than bits.
     """
     class_of = {body: (mask, body if body in within else -1) for body, mask in masks.items()}
     classes = list(dict.fromkeys(class_of.values()))
     if len(classes) > 31:
         raise EngineError(
-            f"MuJoCo tells 31 kinds of collision masks apart, a world with {len(classes)} was asked for; use fewer "
+            f"MuJoCo can distinguish 31 kinds of collision masks, but this world has {len(classes)}; use fewer "
             "different masks, or fewer articulated systems"
         )
     bits = {}
@@ -34,7 +34,7 @@ def collision_bits(masks: Mapping[int, int], within: Mapping[int, bool]) -> dict
 
 
 def chains(urdf: UrdfModel) -> set[tuple[int, int]]:
-    """All (link, link that it hangs on, directly or not) of which both have shapes: they never collide."""
+    """All pairs (link, link above it in its chain) in which both have shapes; they never collide."""
     found = set()
     for i, link in enumerate(urdf.links):
         above = link.parent

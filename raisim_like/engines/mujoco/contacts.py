@@ -1,4 +1,4 @@
-"""MuJoCo's contacts: Coulomb's law where they slide, and their forces."""
+"""MuJoCo's contacts: Coulomb's law for sliding ones, and their forces."""
 
 from __future__ import annotations
 
@@ -11,19 +11,19 @@ from raisim_like.engines.protocol import Array
 
 
 class SlidingContacts:
-    """Lets the sliding contacts of a compiled model stay closed (docs/physics.md).
+    """Keeps the sliding contacts of a compiled model closed (docs/physics.md).
 
-    MuJoCo's convex contact law parts two bodies at friction times their sliding speed, so that a sliding block
-    hops. De Saxcé's correction takes that speed off the normal velocity that the contact aims at. It is made between
+    MuJoCo's convex contact law separates two bodies at friction times their sliding speed, so that a sliding block
+    hops. De Saxcé's correction subtracts that speed from the contact's target normal velocity. It runs between
     `mj_step1` and `mj_step2` of every step, so it touches as few of MuJoCo's arrays as it can and keeps its own.
     """
 
     def __init__(self, built: BuiltModel, friction: float) -> None:
-        """friction: of all pairs that the model does not name."""
+        """friction: coefficient of all pairs that the model does not name."""
         self._data = built.data
-        # Arrays without dimensions: numpy takes twice as long over plain numbers.
+        # Arrays without dimensions, because numpy takes twice as long with plain numbers.
         self._timestep = np.array(built.model.opt.timestep)
-        # Without named pairs friction is the same everywhere. MuJoCo takes none below its least.
+        # Without named pairs friction is the same everywhere. MuJoCo raises smaller values to its minimum.
         self._friction = np.array(max(friction, mj.mjMINMU)) if not built.model.npair else None
         self._speed = np.empty(64)
 
@@ -34,7 +34,7 @@ class SlidingContacts:
     def keep_closed(self) -> None:
         """Correct the contacts of the coming step."""
         data = self._data
-        # The constraints end with the contacts, three rows each: the normal and two tangents. Before them are limits.
+        # The contacts come last, after the joint limits. Each has three rows: the normal and two tangents.
         first, velocity = data.nl, data.efc_vel
         count = (len(velocity) - first) // 3
         if not count:

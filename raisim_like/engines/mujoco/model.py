@@ -1,4 +1,4 @@
-"""A world's bodies as a MuJoCo model, built in memory, with the settings of the solver (docs/physics.md)."""
+"""A world's bodies as a MuJoCo model, built in memory, with the solver's settings (docs/physics.md)."""
 
 from __future__ import annotations
 
@@ -22,11 +22,12 @@ from raisim_like.shapes import Shape
 from raisim_like.urdf import UrdfModel
 
 CONTACT_MARGIN = 1e-4
-"""m. Contacts begin this early; at 0, bodies that lie on each other part and meet in turns."""
+"""Distance at which contacts begin, m. At 0, bodies that lie on each other separate and touch in turns."""
 TOLERANCE = {"faithful": 1e-8, "fast": 1e-3}
-"""Of the contact solver; 1e-8 is MuJoCo's. At 1e-3 Newton needs two iterations, not three, and grasps hold as well."""
+"""Tolerance of the contact solver; 1e-8 is MuJoCo's. At 1e-3 it needs two Newton iterations instead of three, and
+grasps hold as well."""
 IMPEDANCE = 0.9999
-"""How hard contacts and limits are; MuJoCo caps it here. What is missing to 1 makes grasps creep."""
+"""Hardness of contacts and limits; MuJoCo caps it at this value. The difference to 1 makes grasps creep."""
 
 _GEOMS = {
     "box": mj.mjtGeom.mjGEOM_BOX,
@@ -39,7 +40,7 @@ _GEOMS = {
 
 @dataclass
 class Solid:
-    """A rigid body as it was asked for; static when its mass is 0."""
+    """A rigid body as requested; static if its mass is 0."""
 
     shapes: tuple[Shape, ...]
     mass: float
@@ -49,7 +50,7 @@ class Solid:
 
 
 class Drive:
-    """What drives an articulated system; arrays are (dof,)."""
+    """PD gains, target and feed-forward force of an articulated system; arrays are (dof,)."""
 
     def __init__(self, dof: int) -> None:
         self.kp, self.kd, self.target, self.feed_forward = np.zeros((4, dof))
@@ -57,7 +58,7 @@ class Drive:
 
 @dataclass
 class System:
-    """An articulated system as it was asked for, and what drives it."""
+    """An articulated system as requested, and its drive."""
 
     urdf: UrdfModel
     material: str
@@ -72,7 +73,7 @@ Item = Solid | System
 
 @dataclass(frozen=True)
 class Slot:
-    """Where a body is in MuJoCo's arrays: qpos, qvel, joints, moving bodies; mocap -1 for a free body."""
+    """Where a body is in MuJoCo's arrays: qpos, qvel, joints, moving bodies, mocap bodies (-1 for a free body)."""
 
     q: slice
     v: slice
@@ -82,7 +83,7 @@ class Slot:
 
 
 class BuiltModel:
-    """A compiled model with its data, and who is who in it.
+    """A compiled model with its data, and the places of the bodies in it.
 
     owner, link: (ngeom,) body id and moving-link index (-1 for none) of each geom.
     """
@@ -118,24 +119,24 @@ class BuiltModel:
         return Slot(slice(q, q + n), slice(v, v + n), slice(joint, joint + n), slice(moving, stop), mocap)
 
     def set_timestep(self, timestep: float) -> None:
-        """Another timestep, for all that depends on it but the gains."""
+        """Change the timestep and everything that depends on it except the gains."""
         m = self.model
         m.opt.timestep = timestep
         for solref in (m.geom_solref, m.jnt_solref, m.pair_solref):
             solref[:] = _solref(timestep)
 
     def set_gains(self, slot: Slot, item: System) -> None:
-        """PD control of a system: springs and dampers in the joints, and the armature that makes them implicit."""
+        """Set a system's PD control: springs and dampers in the joints, and the armature that makes them implicit."""
         m, dt = self.model, self.model.opt.timestep
         D = item.drive.kd + item.urdf.joint_damping + dt * item.drive.kp
         m.jnt_stiffness[slot.joints] = item.drive.kp
         m.dof_damping[slot.v], m.dof_armature[slot.v] = D, dt * D
-        # The hardness of contacts is relative to inertias that MuJoCo computes beforehand; this spoils its data.
+        # Contact hardness is relative to inertias that MuJoCo computes here. It overwrites the data it is given.
         mj.mj_setConst(m, mj.MjData(m))
 
 
 class _Maker:
-    """Fills an MjSpec; `elements` are the MjSpec bodies of each body id, an articulated system's base first."""
+    """Fills an MjSpec; `elements` holds the MjSpec bodies of each body id, an articulated system's base first."""
 
     def __init__(
         self, items: Mapping[int, Item], materials: MaterialTable, timestep: float, gravity: Array, preset: Preset
@@ -145,10 +146,10 @@ class _Maker:
         self.spec.compiler.degree = False
         option = self.spec.option
         option.timestep, option.gravity, option.tolerance = timestep, gravity, TOLERANCE[preset]
-        # Fingers do not couple but through palm and object: a third faster than dense, to the same solution.
+        # Fingers couple only through palm and object, so this is a third faster than dense, with the same solution.
         option.cone, option.jacobian = mj.mjtCone.mjCONE_ELLIPTIC, mj.mjtJacobian.mjJAC_SPARSE
-        # The armature holds the implicit damping already. A world that broke stays so, for its owner to see.
-        # Looking for islands does not pay where a hand holds everything together.
+        # The armature already holds the implicit damping. A broken world must stay broken, so that its owner sees it.
+        # Searching for islands does not pay off where a hand connects everything.
         off = mj.mjtDisableBit
         option.disableflags = off.mjDSBL_EULERDAMP | off.mjDSBL_AUTORESET | off.mjDSBL_ISLAND
         # No spring, and a damper that stops the approach within one step: inelastic, without error reduction.
@@ -172,7 +173,7 @@ class _Maker:
             element = world.add_body(name=f"b{body}", mass=item.mass, inertia=moments, explicitinertial=True)
             element.add_freejoint()
         else:
-            # What is "mocap" stands still wherever it is put.
+            # A "mocap" body stays where it is placed.
             element = world.add_body(name=f"b{body}", mocap=True)
         for shape in item.shapes:
             self._geom(element, body, -1, item.frame.shape_in_inertial(shape))
@@ -182,7 +183,7 @@ class _Maker:
         elements = [self.spec.worldbody.add_body(name=f"b{body}", mocap=True)]
         links = item.urdf.links
         frames = [BodyFrame(link.com, link.inertia) for link in links]
-        # At once, for one by one these conversions are what a new world waits for.
+        # Convert all at once: one by one, these conversions would take most of the time to make a world.
         turns = quaternion_from_matrix(np.array([link.origin[:3, :3] for link in links]))
         axes = quaternion_from_matrix(np.array([frame.axes for frame in frames]))
         for i, (link, frame) in enumerate(zip(links, frames, strict=True)):
@@ -208,7 +209,7 @@ class _Maker:
                 self._geom(element, body, i, shape)
             elements.append(element)
         if item.self_collision:
-            # Links never collide with what they hang on; MuJoCo itself knows the nearest parent alone.
+            # Links never collide with the links above them; MuJoCo itself excludes only the direct parent.
             for i, j in chains(item.urdf):
                 self.spec.add_exclude(bodyname1=elements[i + 1].name, bodyname2=elements[j + 1].name)
         return elements
@@ -237,7 +238,7 @@ class _Maker:
             file = str(shape.file)
             if file not in self.meshes:
                 self.meshes[file] = f"mesh{len(self.meshes)}"
-                # Inertias are given; the mesh's own only has to exist.
+                # The bodies have explicit inertias; the mesh's own only has to exist.
                 self.spec.add_mesh(name=self.meshes[file], file=file, inertia=mj.mjtMeshInertia.mjMESH_INERTIA_CONVEX)
             return {"meshname": self.meshes[file]}
         size = [v / 2 for v in shape.size]
@@ -246,7 +247,7 @@ class _Maker:
         return {"size": [*size, 0.0, 0.0][:3]}
 
     def _pairs(self) -> None:
-        """Pairs of geoms with a friction of their own; for the others MuJoCo takes the larger one, the default."""
+        """Add the pairs of geoms with a friction of their own; others have the larger value of both, the default."""
         for a, b in combinations_with_replacement(self.items, 2):
             friction = self.materials.friction(self.items[a].material, self.items[b].material)
             if friction == self.materials.default_friction or not self.bits[a][0] & self.bits[b][1]:
@@ -261,7 +262,7 @@ class _Maker:
         """Pairs of geoms, one of each body, that may collide."""
         item, other = self.items[a], self.items[b]
         if isinstance(item, Solid) and isinstance(other, Solid) and (a == b or item.mass == other.mass == 0.0):
-            # MuJoCo would ask no further about bodies that cannot move.
+            # MuJoCo would make contacts for such a pair although its bodies cannot move.
             return []
         if a != b or isinstance(item, Solid):
             return [(first, second) for first, _ in self.geoms[a] for second, _ in self.geoms[b]]
@@ -274,12 +275,12 @@ class _Maker:
 
 
 def _solref(timestep: float) -> list[float]:
-    """No spring, and a damper that stops what approaches within one step."""
+    """No spring, and a damper that stops an approach within one step."""
     return [0.0, -1.0 / timestep]
 
 
 def _possible(moments: Array) -> Array:
-    """Principal moments of inertia, the smallest raised to what a solid can have, as MuJoCo asks."""
+    """Principal moments of inertia, the smallest raised to what a solid can have, as MuJoCo requires."""
     low, middle, high = np.argsort(moments)
     raised = np.array(moments)
     raised[low] = max(moments[low], (moments[high] - moments[middle]) * (1.0 + 1e-9))

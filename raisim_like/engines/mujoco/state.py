@@ -1,4 +1,4 @@
-"""States inside compiled MuJoCo models: read, written, carried over, kept."""
+"""Read, write, carry over and save the states of compiled MuJoCo models."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from raisim_like.engines.protocol import Array
 
 
 def write_body(data: mj.MjData, slot: Slot, state: Array) -> None:
-    """Puts a rigid body's inertial frame to a (13,) state; a static body has no velocity."""
+    """Set a rigid body's inertial frame to a (13,) state; a static body has no velocity."""
     if slot.mocap >= 0:
         data.mocap_pos[slot.mocap], data.mocap_quat[slot.mocap] = state[:3], state[3:7]
         return
@@ -26,7 +26,7 @@ def write_body(data: mj.MjData, slot: Slot, state: Array) -> None:
 
 
 def read_body(data: mj.MjData, slot: Slot, out: Array) -> None:
-    """Writes the (13,) state of a rigid body's inertial frame into out."""
+    """Write the (13,) state of a rigid body's inertial frame into out."""
     if slot.mocap >= 0:
         out[:3], out[3:7], out[7:] = data.mocap_pos[slot.mocap], data.mocap_quat[slot.mocap], 0.0
         return
@@ -36,7 +36,7 @@ def read_body(data: mj.MjData, slot: Slot, out: Array) -> None:
 
 
 def carry_over(old: BuiltModel, new: BuiltModel) -> None:
-    """Gives the bodies of a new model the states that they had in the old one."""
+    """Copy the states of the bodies that both models have from the old model to the new one."""
     for body, slot in new.slots.items():
         was = old.slots.get(body)
         if was is None:
@@ -48,7 +48,7 @@ def carry_over(old: BuiltModel, new: BuiltModel) -> None:
 
 
 def forget_contacts(built: BuiltModel) -> None:
-    """Drops everything but the state: contacts, and the solution that the solver would start from."""
+    """Drop everything except the state: contacts, and the solution from which the solver would start."""
     data = built.data
     state = [part.copy() for part in (data.qpos, data.qvel, data.mocap_pos, data.mocap_quat)]
     mj.mj_resetData(built.model, data)
@@ -56,7 +56,7 @@ def forget_contacts(built: BuiltModel) -> None:
 
 
 def begin_pending(built: BuiltModel, pending: Pending, share: float) -> None:
-    """Forces that last for one timestep, this share of the coming step, join those that are in the data already."""
+    """Add the pending forces to the data. share: timestep / length of the coming step, which scales them."""
     for body, wrench in pending.wrenches.items():
         built.data.xfrc_applied[built.slots[body].bodies] = share * wrench.ravel()
     for body, extra in pending.generalized.items():
@@ -65,7 +65,7 @@ def begin_pending(built: BuiltModel, pending: Pending, share: float) -> None:
 
 @dataclass
 class MujocoSnapshot:
-    """The data of a compiled model, what drives its systems, and what was to act on them."""
+    """The data of a compiled model, the drives of its systems, and the pending forces."""
 
     built: BuiltModel
     data: mj.MjData
@@ -74,5 +74,5 @@ class MujocoSnapshot:
 
     @classmethod
     def of(cls, built: BuiltModel, drives: dict[int, Drive], pending: Pending) -> MujocoSnapshot:
-        """A snapshot that shares nothing with the world but the model."""
+        """A snapshot that shares only the model with the world."""
         return cls(built, copy.copy(built.data), copy.deepcopy(drives), pending.copy())

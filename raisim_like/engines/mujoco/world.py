@@ -1,4 +1,4 @@
-"""MuJoCo behind the engine protocol: worlds, control, contacts."""
+"""MuJoCo as an implementation of the engine protocol: worlds, control, contacts."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ from raisim_like.urdf import UrdfModel
 
 
 def _report(message: str) -> None:
-    """MuJoCo's warnings, which would go to a file in the working directory."""
-    # That a world broke is seen in its state, which stays NaN.
+    """Print a warning of MuJoCo, which would otherwise go to a file in the working directory."""
+    # The state of a broken world shows it: it stays NaN.
     if "unstable" not in message:
         print(f"MuJoCo: {message}", file=sys.stderr)
 
@@ -37,8 +37,8 @@ mj.set_mju_user_warning(_report)
 class MujocoWorld:
     """One model with its data. See `EngineWorld` for the methods.
 
-    The model is compiled when it is first needed after bodies came or went; states are carried over. With the fast
-    preset one step of the engine takes two timesteps; impulses are those of one all the same.
+    After bodies were added or removed, the model is compiled when it is next needed, and states are carried over. With
+    the fast preset one engine step covers up to two timesteps; impulses are still those of one timestep.
     """
 
     def __init__(self, timestep: float, preset: Preset = "faithful") -> None:
@@ -72,7 +72,7 @@ class MujocoWorld:
         for shape in shapes:
             if shape.kind == "mesh":
                 raise EngineError(
-                    f"{shape.file}: MuJoCo has no concave meshes, it would take the convex hull; give the body convex "
+                    f"{shape.file}: MuJoCo has no concave meshes and would take the convex hull; give the body convex "
                     "parts instead, one shape of kind 'hull' for each"
                 )
             if shape.kind == "hull" and (shape.file is None or not shape.file.is_file()):
@@ -105,7 +105,7 @@ class MujocoWorld:
             self._stale = True
 
     def _ready(self) -> BuiltModel:
-        """The model of the bodies that there are."""
+        """The compiled model of the current bodies."""
         if self._built is not None and not self._stale:
             return self._built
         items: dict[int, Item] = {**self.solids, **self.systems}
@@ -184,7 +184,7 @@ class MujocoWorld:
         mujoco_state.forget_contacts(self._ready())
 
     def _steps(self, substeps: int) -> int:
-        """How many steps of the engine make up that many timesteps; they are set to that length."""
+        """The number of engine steps that make up `substeps` timesteps; sets the model to their length."""
         steps, length = engine_steps(substeps, self.timestep, self.preset)
         built = self._ready()
         if built.model.opt.timestep != length:
@@ -195,7 +195,7 @@ class MujocoWorld:
         return steps
 
     def step(self, substeps: int) -> None:
-        """Advance by a number of timesteps under the present targets and forces."""
+        """Advance by `substeps` timesteps under the current targets and forces."""
         built, steps = self._ready(), self._steps(substeps)
         length = built.model.opt.timestep
         for body, system in self.systems.items():
@@ -206,7 +206,7 @@ class MujocoWorld:
             mujoco_state.begin_pending(built, self._pending, self.timestep / length)
         keep_closed = self._sliding.keep_closed
         start = time.perf_counter()
-        # A world that breaks goes through NaN, which its owner will see.
+        # A world that breaks computes with NaN, which its owner sees in the state.
         with np.errstate(all="ignore"):
             for _ in range(steps):
                 mj.mj_step1(built.model, built.data)
@@ -235,7 +235,7 @@ class MujocoWorld:
     def restore(self, snapshot: mujoco_state.MujocoSnapshot) -> None:
         built = self._ready()
         if built is not snapshot.built:
-            raise EngineError("bodies have come or gone, or materials have changed, since the snapshot was taken")
+            raise EngineError("bodies were added or removed, or materials were changed, since the snapshot was taken")
         for body, system in self.systems.items():
             system.drive = copy.deepcopy(snapshot.drives[body])
             built.set_gains(built.slots[body], system)
@@ -265,7 +265,7 @@ class MujocoEngine:
         return MujocoWorld(timestep, preset)
 
     def integrate(self, worlds: Sequence[EngineWorld], substeps: int) -> None:
-        # Control is part of the model, so a world needs nobody between its substeps.
+        # Control is part of the model, so each world takes all of its substeps at once.
         for world in worlds:
             if isinstance(world, MujocoWorld):
                 world.step(substeps)
