@@ -9,6 +9,7 @@ from importlib import import_module
 
 from dgrasp import __version__
 from dgrasp.errors import DGraspError
+from dgrasp.rl.run.interrupts import Interrupted
 
 EXIT_BAD_INPUT, EXIT_INTERRUPTED = 2, 130
 COMMANDS = {
@@ -80,8 +81,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def run_command(name: str, arguments: Sequence[str], prog: str | None = None) -> int:
     """Run one command with its arguments; returns the exit code. train.py and test.py call this."""
     try:
-        from dgrasp.rl.runner import Interrupted
-
         try:
             module = import_module(COMMANDS[name])
             parser = argparse.ArgumentParser(

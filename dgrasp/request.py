@@ -5,24 +5,22 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from dgrasp.config.experiment import Config, find_config, make_config, read_values
 from dgrasp.config.sections import SENSES
 from dgrasp.config.values import apply_overrides, override
 from dgrasp.data import DataChoice, resolve
-from dgrasp.errors import ConfigError
+from dgrasp.errors import ConfigError, DataError
 from dgrasp.eval.motion import usual_set
 from dgrasp.files.paths import data_root
 from dgrasp.methods import METHODS, PolicyMethod, method_of
 from dgrasp.methods.method import Method
-from dgrasp.rl.run import checkpoint
-from dgrasp.rl.run.policies import SavedPolicy, read_policy
-from dgrasp.rl.run.weights import SUFFIX
+from dgrasp.rl.run.folder import PRETRAINED, PRETRAINED_FILE, WEIGHTS_SUFFIX, latest
 
-PRETRAINED = "pretrained"
-PRETRAINED_FILE = Path("free/policy/all_objects.safetensors")
-"""The policy that `--run pretrained` means: the shipped one, relative to the shipped data."""
+if TYPE_CHECKING:
+    from dgrasp.rl.run.policies import SavedPolicy
+
 
 
 @dataclass(frozen=True)
@@ -68,7 +66,7 @@ class Asked:
     def find_policy(self) -> Path | None:
         """The file of the policy, if one is specified; `ConfigError` or `DataError` if a run has no such file."""
         if self.run_dir is not None:
-            return checkpoint.latest(self.run_dir)
+            return latest(self.run_dir)
         if not self.shipped:
             return self.policy
         file = data_root() / PRETRAINED_FILE
@@ -88,7 +86,10 @@ def make_request(asked: Asked) -> Request:
     kind = METHODS[asked.baseline or PolicyMethod.name]
     kind.check_policy(asked.given)
     path = asked.find_policy()
-    saved = None if path is None else read_policy(path)
+    if asked.cfg is not None or asked.run_dir is not None:
+        # What is wrong there shows before the policy is read, which takes seconds.
+        config_of(asked)
+    saved = None if path is None else _read(path)
     method = kind.make(None if saved is None else method_of(saved), str(asked.run or asked.policy))
     config = config_of(asked, path, saved)
     method.check(config)
@@ -96,6 +97,16 @@ def make_request(asked: Asked) -> Request:
     if method.motion == "always" and config.motion.targets is None:
         config = config.model_copy(update={"motion": config.motion.model_copy(update={"targets": usual_set(choice)})})
     return Request(config, method, choice)
+
+
+def _read(path: Path) -> SavedPolicy:
+    """Read a saved policy. A missing file is refused before torch, which takes seconds to import, is loaded."""
+    if not path.is_file():
+        raise DataError(f"{path}: no such file; expected a checkpoint (.pt) or published weights ({WEIGHTS_SUFFIX})")
+
+    from dgrasp.rl.run.policies import read_policy
+
+    return read_policy(path)
 
 
 def config_of(asked: Asked, path: Path | None = None, saved: SavedPolicy | None = None) -> Config:
@@ -121,7 +132,7 @@ def _base(asked: Asked, path: Path | None, saved: SavedPolicy | None) -> tuple[s
             raise ConfigError(f"{asked.run}: not a run directory (no config.yaml); expected one that train.py made")
     if cfg is None and path is not None and saved is not None and saved.config:
         # The engine with which a shared policy was trained may not be installed here.
-        told = ("engine",) if path.suffix == SUFFIX else ()
+        told = ("engine",) if path.suffix == WEIGHTS_SUFFIX else ()
         return str(path), {key: value for key, value in saved.config.items() if key not in told}
     cfg = cfg or find_config(Path("cfg/dexycb.yaml"))
     assert cfg is not None

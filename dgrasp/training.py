@@ -6,10 +6,9 @@ import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import torch
 
 from dgrasp.build import build_spec, frozen_policy
 from dgrasp.config.experiment import Config, load_config
@@ -23,15 +22,15 @@ from dgrasp.methods.frozen import frozen_grasp
 from dgrasp.methods.policy import PolicyMethod
 from dgrasp.motion.targets import draw_targets
 from dgrasp.pool import Pool, PoolSpec, make_pool
-from dgrasp.rl.networks import Policy
-from dgrasp.rl.run import checkpoint
+from dgrasp.rl.run.folder import BEST, saved, write_description
 from dgrasp.rl.run.lock import only_run
-from dgrasp.rl.run.log import write_description
 from dgrasp.rl.run.record import read_run
-from dgrasp.rl.runner import Runner
 from dgrasp.types import EpisodeRecord
 from dgrasp.view.frames import gif_bytes, record_pictures
 from dgrasp.view.meshes import scene_meshes
+
+if TYPE_CHECKING:
+    from dgrasp.rl.networks import Policy
 
 
 def begin(config: Config, run_dir: Path | None = None) -> Path:
@@ -60,7 +59,7 @@ def resume(run_dir: Path, overrides: Sequence[str] = ()) -> None:
         raise ConfigError(f"{run_dir}: no config.yaml there, so no run to resume; give the folder that --run named")
     config = load_config(file, list(overrides))
     choice = _checked_data(config)
-    there_is_one = bool(checkpoint.saved(run_dir))
+    there_is_one = bool(saved(run_dir))
     if not there_is_one:
         _refuse_lost_checkpoints(run_dir)
         print(f"{run_dir} was stopped before its first checkpoint, so it starts from the beginning", flush=True)
@@ -86,7 +85,7 @@ def _refuse_lost_checkpoints(run_dir: Path) -> None:
     epochs = made.number("epoch")
     if epochs >= min(made.config.checkpoint.every, made.epochs):
         raise ConfigError(f"{run_dir}: its checkpoints are missing after {epochs:.0f} epochs; put them back, test "
-                          f"{checkpoint.BEST} with --policy, or begin another run with --run")
+                          f"{BEST} with --policy, or begin another run with --run")
 
 
 def _exists(run_dir: Path) -> ConfigError:
@@ -129,6 +128,11 @@ def start_run(run_dir: Path, config: Config, choice: DataChoice, new: bool = Fal
 
 def train(run_dir: Path, config: Config, choice: DataChoice, resume: bool = False) -> None:
     """Train in `run_dir` to the config's last epoch."""
+    # Imported late: torch takes seconds, and refusals before a training need none of it.
+    import torch
+
+    from dgrasp.rl.runner import Runner
+
     # The workers use all cores. They wait during the update, which may use several threads (`ppo.threads`).
     torch.set_num_threads(1)
     spec = build_spec(choice, config)

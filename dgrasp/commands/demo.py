@@ -7,30 +7,22 @@ import os
 import shutil
 import sys
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-import torch
 from rich.console import Console
 from rich.table import Table
 
-from dgrasp.commands.test import write_gif
+from dgrasp.commands.test import one_thread, write_gif
 from dgrasp.config.experiment import Config, load_config, make_config
 from dgrasp.config.values import apply_overrides
-from dgrasp.data import resolve
 from dgrasp.errors import ConfigError
-from dgrasp.eval import output
-from dgrasp.eval.paper import MOTION_OBJECTS
-from dgrasp.eval.summary import Result
-from dgrasp.evaluation import evaluate_choice, evaluate_motion
-from dgrasp.export.collect import display_meshes
 from dgrasp.files.paths import data_root, package_file
-from dgrasp.methods import PdBaseline
-from dgrasp.methods.method import Method
-from dgrasp.methods.policy import PolicyMethod
-from dgrasp.report.page import write_report
-from dgrasp.request import PRETRAINED_FILE
-from dgrasp.rl.run.policies import SavedPolicy, read_policy
-from dgrasp.rl.run.record import read_run
-from dgrasp.training import next_run, start_run, train
+from dgrasp.rl.run.folder import PRETRAINED_FILE
+
+if TYPE_CHECKING:
+    from dgrasp.eval.summary import Result
+    from dgrasp.methods.method import Method
+    from dgrasp.rl.run.policies import SavedPolicy
 
 HELP = """\
 Run a short demonstration on the shipped hand, objects and labels:
@@ -50,7 +42,7 @@ _TRAINING = ("name=demo", "data=free", f"labels.objects=[{_OBJECT}]", "env.episo
              "ppo.max_minutes=3", "ppo.epochs=1000", "checkpoint.every=5", "checkpoint.keep=2", "eval.every=1000",
              "eval.gif=false")  # fmt: skip
 _TEST = ("data=free", "physics.preset=faithful", "labels.split=test", "labels.limit_per_object=1")
-_MOTION = (f"labels.objects=[{', '.join(MOTION_OBJECTS)}]", "motion.targets=near", "motion.stable_alone=false")
+_MOTION = ("motion.targets=near", "motion.stable_alone=false")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -63,12 +55,18 @@ def main(arguments: argparse.Namespace) -> int:
     """Run the demo; returns the exit code."""
     words = list(arguments.overrides)
     config = load_config(package_file("cfg/fast.yaml"), [*_TRAINING, *words])
-    choice = resolve(config)
     if arguments.run is not None and arguments.run.exists():
         raise ConfigError(f"{arguments.run} exists already; choose another --run")
+
+    from dgrasp.data import resolve
+    from dgrasp.rl.run.policies import read_policy
+    from dgrasp.rl.run.record import read_run
+    from dgrasp.training import next_run, start_run, train
+
+    choice = resolve(config)
     run_dir = arguments.run or next_run(config.name)
     print(choice.describe(), flush=True)
-    torch.set_num_threads(1)
+    one_thread()
     start_run(run_dir, config, choice, new=True)
     file = data_root() / PRETRAINED_FILE
     saved = read_policy(file) if file.is_file() else None
@@ -88,6 +86,13 @@ def main(arguments: argparse.Namespace) -> int:
 
 def _test(saved: SavedPolicy | None, run_dir: Path, words: list[str]) -> dict[str, Result]:
     """Test PD control, and the shipped policy if there is one, on one test label of each object."""
+    from dgrasp.data import resolve
+    from dgrasp.eval import output
+    from dgrasp.evaluation import evaluate_choice
+    from dgrasp.export.collect import display_meshes
+    from dgrasp.methods import PdBaseline, PolicyMethod
+    from dgrasp.report.page import write_report
+
     config = _config_of(saved, [*_TEST, *words])
     choice, results = resolve(config), {}
     print(f"\ntesting on {len(choice.labels.labels)} labels that no policy was trained on", flush=True)
@@ -107,7 +112,16 @@ def _test(saved: SavedPolicy | None, run_dir: Path, words: list[str]) -> dict[st
 
 def _carry(saved: SavedPolicy, run_dir: Path, words: list[str]) -> None:
     """Run motion synthesis with the paper's six objects."""
-    config = _config_of(saved, [*_TEST, *_MOTION, *words])
+    from dgrasp.data import resolve
+    from dgrasp.eval import output
+    from dgrasp.eval.paper import MOTION_OBJECTS
+    from dgrasp.evaluation import evaluate_motion
+    from dgrasp.export.collect import display_meshes
+    from dgrasp.methods import PolicyMethod
+    from dgrasp.report.page import write_report
+
+    objects = f"labels.objects=[{', '.join(MOTION_OBJECTS)}]"
+    config = _config_of(saved, [*_TEST, objects, *_MOTION, *words])
     choice = resolve(config)
     print("carrying six objects to target poses ...", flush=True)
     result, records, spec = evaluate_motion(PolicyMethod(saved.policy), config, choice)

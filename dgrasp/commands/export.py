@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from dgrasp.errors import ConfigError
-from dgrasp.export import arrays, film, glb
-from dgrasp.export.sequence import StoredSequence, read_sequence, sequence_files
 from dgrasp.files.atomic import write_atomic
+
+if TYPE_CHECKING:
+    from dgrasp.export.sequence import StoredSequence
 
 FORMATS = ("npz", "glb", "gif", "mp4")
 
@@ -39,6 +41,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def main(arguments: argparse.Namespace) -> int:
     """Export one sequence or all of a folder; returns the exit code."""
+    from dgrasp.export.sequence import read_sequence, sequence_files
+
     files = sequence_files(arguments.source)
     kind = arguments.format or arguments.out.suffix[1:].lower()
     if kind not in FORMATS:
@@ -58,6 +62,8 @@ def main(arguments: argparse.Namespace) -> int:
 
 
 def _write(kind: str, path: Path, sequence: StoredSequence, mano: Path | None) -> None:
+    from dgrasp.export import arrays, film, glb
+
     if kind == "mp4":
         film.write_mp4(path, sequence)
     elif kind == "gif":
@@ -71,6 +77,8 @@ def _said(kind: str, sequence: StoredSequence, mano: Path | None) -> str:
     if kind != "npz":
         return ""
     if sequence.about["mano"] is None:
+        from dgrasp.export import arrays
+
         return f"; MANO's parameters: {arrays.mano_note(sequence)}"
     if mano is None and "root_joint" not in sequence.about["mano"]:
         return "; without mano_transl, which needs MANO's root joint: add --mano FILE"

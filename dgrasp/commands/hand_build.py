@@ -10,13 +10,6 @@ import yaml
 
 from dgrasp.errors import DataError
 from dgrasp.files import licences
-from dgrasp.hand.builder.build import Provenance, build_hand
-from dgrasp.hand.builder.limits import label_limits
-from dgrasp.hand.builder.report import print_report
-from dgrasp.hand.free.skin import free_limits, free_skin, skin_path
-from dgrasp.hand.mano.file import read_mano
-from dgrasp.hand.store import open_hand
-from dgrasp.labels.source import load_labels, sha256_of
 from dgrasp.types import Array
 
 HELP = """\
@@ -50,6 +43,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def main(arguments: argparse.Namespace) -> int:
     """Build the hand and print its figures; returns the exit code."""
+    from dgrasp.hand.builder.build import Provenance, build_hand
+    from dgrasp.hand.builder.limits import label_limits
+    from dgrasp.hand.builder.report import print_report
+    from dgrasp.hand.free.skin import free_limits, free_skin, skin_path
+    from dgrasp.hand.mano.file import read_mano
+    from dgrasp.hand.store import open_hand
+    from dgrasp.labels.source import load_labels, sha256_of
+
     model = free_skin() if arguments.free else read_mano(arguments.mano)
     file, family = (skin_path(), "free") if arguments.free else (arguments.mano, "mano")
     licence = licences.FREE_HAND if arguments.free else licences.MANO

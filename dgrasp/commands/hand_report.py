@@ -4,9 +4,6 @@ from __future__ import annotations
 
 import argparse
 
-from dgrasp.hand.builder.report import print_report
-from dgrasp.hand.store import open_hand
-
 HELP = """\
 Print volumes, masses, joint offsets and limits of a hand, or of two hands side by side.
 HAND is "free", a folder that `dgrasp hand build` wrote, or a URDF file such as the authors' mano_mean.urdf.
@@ -21,6 +18,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def main(arguments: argparse.Namespace) -> int:
     """Print the report; returns the exit code."""
+    from dgrasp.hand.builder.report import print_report
+    from dgrasp.hand.store import open_hand
+
     names = [arguments.hand, *([arguments.other] if arguments.other else [])]
     print_report([open_hand(name) for name in names])
     return 0

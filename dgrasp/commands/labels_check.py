@@ -5,12 +5,15 @@ from __future__ import annotations
 import argparse
 import statistics
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from rich.console import Console
 from rich.table import Table
 
 from dgrasp.errors import DataError
-from dgrasp.labels.quality.measure import Finding
+
+if TYPE_CHECKING:
+    from dgrasp.labels.quality.measure import Finding
 
 HELP = """\
 Read a label file and check every label against the hand and the objects that it would be used with. The checks cover

@@ -7,14 +7,11 @@ import math
 import os
 from pathlib import Path
 
+from dgrasp.config.names import DISPLACEMENT, START_DISTANCE
 from dgrasp.errors import DataError
 from dgrasp.files import licences
 from dgrasp.files.paths import user_cache_root
-from dgrasp.hand.mano.file import read_mano
-from dgrasp.labels.recorded import dexycb_grasps
-from dgrasp.labels.recorded.cache import LabelCache
-from dgrasp.labels.recorded.common import add_common, finish, make_maker, progress
-from dgrasp.labels.source import sha256_of
+from dgrasp.labels.recorded.common import add_common
 
 HELP = """\
 Make grasp labels from DexYCB, as the paper does. The label of a right-handed sequence is the first frame in which the
@@ -33,10 +30,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--split", choices=("train", "test", "all"), default="all",
                         help="75%% or 25%% of each subject's sequences (default: all)")
     parser.add_argument("--seed", type=int, default=1, help="seed of the split (default: 1)")
-    parser.add_argument("--displacement", type=float, default=dexycb_grasps.DISPLACEMENT, metavar="M",
+    parser.add_argument("--displacement", type=float, default=DISPLACEMENT, metavar="M",
                         help="m; the grasp is the first frame with the object farther than this from its initial "
                              "position (default: %(default)s)")
-    parser.add_argument("--start-distance", type=float, default=dexycb_grasps.START_DISTANCE, metavar="M",
+    parser.add_argument("--start-distance", type=float, default=START_DISTANCE, metavar="M",
                         help="m; the approach starts when the wrist comes this close to the object (default: "
                              "%(default)s)")
     parser.add_argument("--mirror-left", type=Path, metavar="MANO_LEFT.pkl",
@@ -54,6 +51,13 @@ def main(arguments: argparse.Namespace) -> int:
             raise DataError(f"{option} {value:g}: expected metres, above 0 and at most 1")
     if arguments.seed < 0:
         raise DataError(f"--seed {arguments.seed}: expected 0 or more")
+
+    from dgrasp.hand.mano.file import read_mano
+    from dgrasp.labels.recorded import dexycb_grasps
+    from dgrasp.labels.recorded.cache import LabelCache
+    from dgrasp.labels.recorded.common import finish, make_maker, progress
+    from dgrasp.labels.source import sha256_of
+
     maker = make_maker(arguments, [root / "models"])
     if maker.model.side != "right":
         raise DataError(f"--mano {arguments.mano}: MANO's left hand; expected MANO_RIGHT.pkl; give the left hand with "

@@ -7,8 +7,7 @@ from pathlib import Path
 
 from dgrasp.errors import DataError
 from dgrasp.files import licences
-from dgrasp.labels.recorded.common import add_common, finish, make_maker, progress
-from dgrasp.labels.recorded.ho3d import import_ho3d
+from dgrasp.labels.recorded.common import add_common
 
 HELP = """\
 Make grasp labels from HO3D's annotations: every N-th frame of each sequence in which the hand touches the object. The
@@ -30,6 +29,10 @@ def main(arguments: argparse.Namespace) -> int:
     """Import and write the labels; returns the exit code."""
     if arguments.every < 1:
         raise DataError(f"--every {arguments.every}: expected 1 or more")
+
+    from dgrasp.labels.recorded.common import finish, make_maker, progress
+    from dgrasp.labels.recorded.ho3d import import_ho3d
+
     maker = make_maker(arguments, [arguments.source / "models"])
     if maker.model.side != "right":
         raise DataError(f"--mano {arguments.mano}: MANO's left hand; HO3D's hands are right hands")

@@ -8,14 +8,10 @@ from pathlib import Path
 
 import numpy as np
 
+from dgrasp.config.names import MANO_CONVENTIONS
 from dgrasp.errors import DataError
 from dgrasp.files import licences
-from dgrasp.labels.recorded.common import add_common, finish, make_maker, progress
-from dgrasp.labels.recorded.conventions import CHOICES, read_grasps
-from dgrasp.labels.recorded.making import numbered
-from dgrasp.labels.recorded.mano_table import read_mano_table
-from dgrasp.scene.scene import TABLE_TOP
-from dgrasp.scene.standing import PLACE_XY
+from dgrasp.labels.recorded.common import add_common
 
 HELP = """\
 Make grasp labels from a .npz or .csv of MANO parameters and object poses, such as the raw outputs of GraspTTA and
@@ -38,7 +34,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "transl": "MANO's translation of the mesh, or the wrist's position", "quaternion": "order in object_rotation",
     }  # fmt: skip
     for question, meaning in meanings.items():
-        parser.add_argument(f"--{question}", choices=CHOICES[question], help=meaning)
+        parser.add_argument(f"--{question}", choices=MANO_CONVENTIONS[question], help=meaning)
     parser.add_argument("--mean-shape", action="store_true", help="the hands have MANO's mean shape (no betas)")
     parser.add_argument("--object", metavar="NAME", help="the object of all rows, if the table has no names")
     parser.add_argument("--object-at-origin", action="store_true",
@@ -55,9 +51,17 @@ def main(arguments: argparse.Namespace) -> int:
         raise DataError("--objects is missing; expected the folder of the objects' meshes, which give the contacts")
     if arguments.table is not None and not (math.isfinite(arguments.table) and abs(arguments.table) <= 10.0):
         raise DataError(f"--table {arguments.table:g}: expected metres, at most 10")
+
+    from dgrasp.labels.recorded.common import finish, make_maker, progress
+    from dgrasp.labels.recorded.conventions import read_grasps
+    from dgrasp.labels.recorded.making import numbered
+    from dgrasp.labels.recorded.mano_table import read_mano_table
+    from dgrasp.scene.scene import TABLE_TOP
+    from dgrasp.scene.standing import PLACE_XY
+
     maker = make_maker(arguments, [])
     table = read_mano_table(arguments.source, arguments.object)
-    given = {question: getattr(arguments, question) for question in CHOICES if getattr(arguments, question)}
+    given = {question: getattr(arguments, question) for question in MANO_CONVENTIONS if getattr(arguments, question)}
     grasps = read_grasps(table, maker.model, given, arguments.mean_shape, arguments.object_at_origin)
     print("conventions: " + ", ".join(f"{question} {answer}" for question, answer in grasps.answers.items()))
     labels, skipped = [], {}

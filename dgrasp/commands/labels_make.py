@@ -11,7 +11,7 @@ import time
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -19,17 +19,16 @@ from dgrasp import __version__
 from dgrasp.config.experiment import Config, make_config
 from dgrasp.errors import ConfigError, DataError
 from dgrasp.files import licences
-from dgrasp.hand.store import NamedHand, open_hand
-from dgrasp.objects.free import free_object
-from dgrasp.objects.model import ObjectModel
 from dgrasp.objects.names import YCB_NAMES, resolve_object
-from dgrasp.objects.release import release_object
 from dgrasp.objects.store import default_store, find_object, load_object
-from dgrasp.pool import cores
 from dgrasp.types import GraspLabel
 from raisim_like.engines import default_engine
 from raisim_like.errors import EngineError
 from raisim_like.registry import BATCHES, find_engine
+
+if TYPE_CHECKING:
+    from dgrasp.hand.store import NamedHand
+    from dgrasp.objects.model import ObjectModel
 
 HELP = """\
 Make static grasp labels for a hand and objects by gradient descent (contact, force closure, penetration, joint limits,
@@ -78,6 +77,8 @@ class _Task:
 
 def main(arguments: argparse.Namespace) -> int:
     """Make and write the labels; returns the exit code."""
+    from dgrasp.pool import cores
+
     tasks, hand = _tasks(arguments)
     files = _files(arguments, len(tasks))
     begin = time.monotonic()
@@ -119,6 +120,9 @@ def _tasks(arguments: argparse.Namespace) -> tuple[list[_Task], NamedHand]:
                           "at least one process")
     config = make_config({"engine": arguments.engine}, "labels make")
     _require_engine(arguments.engine)
+
+    from dgrasp.hand.store import open_hand
+
     data = None if arguments.data == "free" else Path(os.path.expanduser(arguments.data))
     name = arguments.hand or ("free" if data is None else str(data / "hand" / "mano_mean.urdf"))
     hand = open_hand(name)
@@ -160,6 +164,9 @@ def _require_engine(name: str) -> None:
 
 def _object(name: str, data: Path | None, store: Path | None, config: Config) -> ObjectModel:
     """The added object of that name if there is one, else one of the 20."""
+    from dgrasp.objects.free import free_object
+    from dgrasp.objects.release import release_object
+
     physics, parts = config.physics, config.engine == "mujoco"
     folder = store or default_store()
     if (folder / name).is_dir():
@@ -193,6 +200,7 @@ def _one_thread() -> None:
 
 def _make(task: _Task) -> tuple[list[GraspLabel], dict[str, Any]]:
     """Synthesise the labels of one object; returns them and their figures."""
+    from dgrasp.hand.store import open_hand
     from dgrasp.synthesis.report import figures
     from dgrasp.synthesis.synthesiser import Synthesiser
 

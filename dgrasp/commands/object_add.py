@@ -6,18 +6,20 @@ import argparse
 import re
 import sys
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from dgrasp.config.names import DENSITY, OVERLAP, PRIMITIVES
 from dgrasp.errors import DataError
-from dgrasp.objects.add.add import DENSITY, Added, Mass, add_object
-from dgrasp.objects.add.fit import OVERLAP, PRIMITIVES
 from dgrasp.objects.add.mesh_reader import FORMATS, SCALES
 from dgrasp.objects.names import YCB_NAMES
 from dgrasp.objects.store import NAME, PICTURE_FILE, default_store
+
+if TYPE_CHECKING:
+    from dgrasp.objects.add.add import Added, Mass
 
 HELP = """\
 Add an object from a mesh (OBJ, STL, PLY, GLB), or every mesh of a folder. The command checks the units, repairs the
@@ -61,6 +63,9 @@ def main(arguments: argparse.Namespace) -> int:
         value = getattr(arguments, option)
         if value is not None and not 0.0 < value < np.inf:
             raise DataError(f"--{option} {value:g}: expected a positive number")
+
+    from dgrasp.objects.add.add import add_object
+
     to = default_store() if arguments.to is None else arguments.to
     added, refused = [], []
     for file, name in _files(arguments):
@@ -106,6 +111,8 @@ def _clean(text: str) -> str:
 
 
 def _mass(arguments: argparse.Namespace) -> Mass:
+    from dgrasp.objects.add.add import Mass
+
     inertia = None
     if arguments.inertia is not None:
         xx, yy, zz, xy, xz, yz = arguments.inertia

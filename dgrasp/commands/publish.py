@@ -6,8 +6,8 @@ import argparse
 from pathlib import Path
 
 from dgrasp.errors import DataError
-from dgrasp.rl.run import checkpoint
-from dgrasp.rl.run.weights import SUFFIX, write_weights
+from dgrasp.rl.run.folder import BEST, latest
+from dgrasp.rl.run.folder import WEIGHTS_SUFFIX as SUFFIX
 
 HELP = """\
 Write a trained policy as a .safetensors file. It holds the actor's weights and a description of the training and its
@@ -33,9 +33,15 @@ def main(arguments: argparse.Namespace) -> int:
     if out.exists():
         raise DataError(f"--out {out} exists already; choose another name, or remove it")
     if source.is_dir():
-        best = source / checkpoint.BEST
-        source = best if best.is_file() else checkpoint.latest(source)
-    read = checkpoint.load(source)
+        best = source / BEST
+        source = best if best.is_file() else latest(source)
+    if not source.is_file():
+        raise DataError(f"{source}: no such file; expected a run directory, or a checkpoint (.pt)")
+
+    from dgrasp.rl.run.checkpoint import load
+    from dgrasp.rl.run.weights import write_weights
+
+    read = load(source)
     size = write_weights(out, read)
     score = "" if read.best_success is None else f", best success in training {read.best_success:.2f}"
     print(f"wrote {out}: {size} bytes, from {source} ({read.epoch} epochs{score})")

@@ -8,9 +8,6 @@ from pathlib import Path
 
 from dgrasp.config.values import override
 from dgrasp.errors import ConfigError, DataError
-from dgrasp.tables.fill import Tables, fill
-from dgrasp.tables.plan import plans
-from dgrasp.tables.show import show, write
 
 RUNS = Path("runs/tables")
 """Default of --runs: the folder of runs and results."""
@@ -26,6 +23,11 @@ def main(arguments: argparse.Namespace) -> int:
                           f"NAME.json to --runs; leave out {', '.join(refused)} (--policy FILE replaces the policy of "
                           "all objects; the key labels.objects=[NAME, ...] restricts rows that name no objects of "
                           "their own), or leave out --table for a single evaluation")
+
+    from dgrasp.tables.fill import Tables, fill
+    from dgrasp.tables.plan import plans
+    from dgrasp.tables.show import show, write
+
     given = {"data": arguments.data, "engine": arguments.engine, "eval.window_s": arguments.window}
     overrides = [override(key, value) for key, value in given.items() if value is not None]
     overrides += arguments.overrides
@@ -33,6 +35,9 @@ def main(arguments: argparse.Namespace) -> int:
     each = [[*overrides, f"seed={seed}"] for seed in dict.fromkeys(arguments.seeds)] or [overrides]
     seeds = [Tables(root, arguments.cfg, words, arguments.policy) for words in each]
     chosen = plans(arguments.table)
+    import torch
+
+    torch.set_num_threads(1)
     end = None if budget is None else time.monotonic() + 60.0 * budget
     for i, one in enumerate(seeds):
         if end is not None:

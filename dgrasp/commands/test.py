@@ -8,28 +8,20 @@ import math
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import torch
-
-from dgrasp.commands.tables import main as fill_tables
+from dgrasp.config.names import BASELINES, TABLES
 from dgrasp.errors import ConfigError, DataError
-from dgrasp.eval import failures, output
-from dgrasp.eval.agreement import find_agreement
-from dgrasp.eval.latex import write_latex
-from dgrasp.evaluation import evaluate_choice, evaluate_motion
-from dgrasp.export.collect import display_meshes, sequences
-from dgrasp.export.sequence import check_folder, write_folder
 from dgrasp.files.atomic import write_atomic
 from dgrasp.files.outputs import check_outputs
-from dgrasp.methods import BASELINES
-from dgrasp.report.page import write_report
-from dgrasp.request import Asked, make_request
-from dgrasp.tables.plan import NAMES
-from dgrasp.types import EpisodeRecord
-from dgrasp.view.frames import gif_bytes, record_pictures, tile
-from dgrasp.view.meshes import DisplayMeshes
 from raisim_like.registry import BATCHES
+
+if TYPE_CHECKING:
+    from dgrasp.eval.summary import Result
+    from dgrasp.pool import PoolSpec
+    from dgrasp.request import Asked, Request
+    from dgrasp.types import EpisodeRecord
+    from dgrasp.view.meshes import DisplayMeshes
 
 HELP = """\
 Evaluate grasps: the policy (or baseline) grasps, the table is taken away, and the object must not fall during the
@@ -49,8 +41,8 @@ examples:
   python test.py --baseline flat_rl --run runs/flat_rl_1              one policy grasps and moves; also learned_motion
 """
 
-BESIDE_JSON = {".csv": output.write_csv, ".md": output.write_markdown, ".tex": write_latex}
-"""Suffix -> writer of the tables that are written beside the file of --json."""
+BESIDE_JSON = (".csv", ".md", ".tex")
+"""Suffixes of the tables that are written beside the file of --json."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -63,8 +55,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                       "the shipped policy")
     what.add_argument("--policy", type=Path, metavar="FILE", help="a checkpoint, ours or one of the authors', or a "
                       "file of `dgrasp publish`")
-    parser.add_argument("--table", choices=(*NAMES, "all"), help="fill a table of the paper with the trained policies, "
-                        "and print how to train the missing ones")
+    parser.add_argument("--table", choices=(*TABLES, "all"), help="fill a table of the paper with the trained "
+                        "policies, and print how to train the missing ones")
     parser.add_argument("--budget", type=_minutes, metavar="MINUTES",
                         help="with --table: train missing policies for this long")
     parser.add_argument("--seeds", type=_numbers, default=[], metavar="K,K,...",
@@ -107,8 +99,9 @@ def _minutes(text: str) -> float:
 
 def main(arguments: argparse.Namespace) -> int:
     """Run the evaluation that the command line describes; returns the exit code."""
-    torch.set_num_threads(1)
     if arguments.table is not None:
+        from dgrasp.commands.tables import main as fill_tables
+
         return fill_tables(arguments)
     given = {"--budget": arguments.budget, "--seeds": arguments.seeds or None, "--runs": arguments.runs}
     alone = [name for name, value in given.items() if value is not None]
@@ -119,13 +112,35 @@ def main(arguments: argparse.Namespace) -> int:
         raise ConfigError(f"--json {arguments.json}: a table with this suffix is written beside the JSON; expected a "
                           f"name such as {arguments.json.with_suffix('.json')}")
     _check_outputs(arguments)
+
+    from dgrasp.evaluation import evaluate_choice, evaluate_motion
+    from dgrasp.export.sequence import check_folder
+    from dgrasp.request import make_request
+
     if arguments.records is not None:
         check_folder(arguments.records)
     request = make_request(asked_by(arguments))
     config, choice = request.config, request.choice
     print(choice.describe(), flush=True)
+    one_thread()
     evaluation = evaluate_choice if config.motion.targets is None else evaluate_motion
     result, records, spec = evaluation(request.method, config, choice)
+    _write(arguments, request, result, records, spec)
+    return 0
+
+
+def _write(
+    arguments: argparse.Namespace, request: Request, result: Result, records: list[EpisodeRecord], spec: PoolSpec
+) -> None:
+    """Print a result, and write the files that the options name."""
+    from dgrasp.eval import failures, output
+    from dgrasp.eval.agreement import find_agreement
+    from dgrasp.eval.latex import write_latex
+    from dgrasp.export.collect import display_meshes, sequences
+    from dgrasp.export.sequence import write_folder
+    from dgrasp.report.page import write_report
+
+    config, choice = request.config, request.choice
     extra: dict[str, Any] = {}
     lines: list[str] = []
     if arguments.policy is not None and result.motion is None:
@@ -137,7 +152,8 @@ def main(arguments: argparse.Namespace) -> int:
         extra |= failures.report(result.per_label, result.window_s, config.control_period)
     if arguments.json is not None:
         output.write_json(result, arguments.json, extra)
-        for suffix, write_table in BESIDE_JSON.items():
+        tables = (output.write_csv, output.write_markdown, write_latex)
+        for suffix, write_table in zip(BESIDE_JSON, tables, strict=True):
             write_table(result, arguments.json.with_suffix(suffix))
     try:
         if any(shown is not None for shown in (arguments.report, arguments.records, arguments.gif)):
@@ -153,11 +169,19 @@ def main(arguments: argparse.Namespace) -> int:
         # even if writing a file failed.
         output.print_table(result)
         print("\n".join(lines), end="\n" if lines else "")
-    return 0
+
+
+def one_thread() -> None:
+    """Give torch one thread; the workers use the other cores."""
+    import torch
+
+    torch.set_num_threads(1)
 
 
 def asked_by(arguments: argparse.Namespace) -> Asked:
     """What the options ask for; a key=value on the command line takes precedence over the option for the same key."""
+    from dgrasp.request import Asked
+
     # In `--objects A B seed=3`, a word with an equals sign is an override, not an object.
     named = arguments.objects or []
     objects = None if arguments.objects is None else [name for name in named if "=" not in name]
@@ -195,6 +219,8 @@ def write_gif(
     path: Path, records: Sequence[EpisodeRecord], meshes: Mapping[str, DisplayMeshes], count: int = 6
 ) -> None:
     """Write a GIF of up to `count` episodes side by side, spread evenly over the labels."""
+    from dgrasp.view.frames import gif_bytes, record_pictures, tile
+
     there = [record for record in records if len(record.gc)]
     if not there:
         raise DataError(f"{path}: no episode lasted a single step, so there is nothing to show in a GIF")

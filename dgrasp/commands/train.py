@@ -8,7 +8,6 @@ from pathlib import Path
 from dgrasp.config.experiment import find_config, load_config
 from dgrasp.config.values import override
 from dgrasp.errors import ConfigError
-from dgrasp.training import begin, resume
 
 HELP = """\
 Train a grasping policy with PPO on all labels of a split, one environment per label.
@@ -41,9 +40,15 @@ def main(arguments: argparse.Namespace) -> int:
     if arguments.data is not None:
         overrides.append(override("data", arguments.data))
     if arguments.resume is None:
-        begin(load_config(find_config(arguments.cfg), overrides), arguments.run)
+        config = load_config(find_config(arguments.cfg), overrides)
+        # Imported late, here and in other commands, so that `--help` and refusals answer at once.
+        from dgrasp.training import begin
+
+        begin(config, arguments.run)
         return 0
     if arguments.run is not None or arguments.cfg is not None:
         raise ConfigError("--resume takes cfg and run directory from the run itself; leave out --cfg and --run")
+    from dgrasp.training import resume
+
     resume(arguments.resume, overrides)
     return 0

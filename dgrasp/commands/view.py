@@ -8,11 +8,8 @@ from html import escape
 from pathlib import Path
 
 from dgrasp.errors import ConfigError
-from dgrasp.export.sequence import read_sequence, sequence_files
 from dgrasp.files.atomic import write_atomic
 from dgrasp.files.outputs import check_outputs
-from dgrasp.report import replay
-from dgrasp.report.page import document, replays_section
 
 HELP = """\
 View sequences that `test --records DIR` has stored. Writes one HTML page that works offline; its replays can be
@@ -37,6 +34,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def main(arguments: argparse.Namespace) -> int:
     """Write the page and open it; returns the exit code."""
+    from dgrasp.export.sequence import read_sequence, sequence_files
+    from dgrasp.report import replay
+    from dgrasp.report.page import document, replays_section
+
     files = sequence_files(arguments.source)
     out = arguments.out or (arguments.source if arguments.source.is_dir() else arguments.source.parent) / "view.html"
     if out.suffix.lower() not in (".html", ".htm"):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -15,9 +16,11 @@ from dgrasp.hand.layout import HandLayout
 from dgrasp.methods.method import Method
 from dgrasp.pool import PoolSpec
 from dgrasp.rl.collect import Actor
-from dgrasp.rl.networks import Policy
-from dgrasp.rl.run.policies import SavedPolicy, read_policy
 from dgrasp.types import Array
+
+if TYPE_CHECKING:
+    from dgrasp.rl.networks import Policy
+    from dgrasp.rl.run.policies import SavedPolicy
 
 
 class FrozenGrasp(Method):
@@ -51,6 +54,8 @@ def grasping_policy(config: Config, hand: HandLayout | None = None) -> Policy:
     if config.motion.policy is None:
         raise ConfigError("motion.policy: expected the checkpoint of a grasping policy, such as "
                           "motion.policy=runs/dexycb_1/best.pt or one of the authors'")
+    from dgrasp.rl.run.policies import read_policy
+
     path = Path(config.motion.policy).expanduser()
     saved = read_policy(path)
     if saved.task != "grasp":

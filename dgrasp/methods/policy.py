@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 from dgrasp.config.sections import MotionConfig
 from dgrasp.methods.method import Method
-from dgrasp.rl.networks import Policy
 from dgrasp.types import Array
+
+if TYPE_CHECKING:
+    from dgrasp.rl.networks import Policy
 
 
 class PolicyMethod(Method):

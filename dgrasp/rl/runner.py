@@ -20,7 +20,7 @@ from dgrasp.rl.networks import ActorCritic, Policy
 from dgrasp.rl.ppo import Ppo
 from dgrasp.rl.run import checkpoint as checkpoints
 from dgrasp.rl.run.checkpoint import Checkpoint
-from dgrasp.rl.run.interrupts import Preempted, interruptible, uninterruptible
+from dgrasp.rl.run.interrupts import Interrupted, Preempted, interruptible, uninterruptible
 from dgrasp.rl.run.lock import only_run
 from dgrasp.rl.run.log import RETURN, STEPS_PER_SECOND, SUCCESS, TERMINATED, TRUNCATED, UPDATE_SHARE, Log, steps_made
 from dgrasp.rl.storage import Rollout
@@ -28,14 +28,6 @@ from dgrasp.rl.vec_env import VecEnv
 
 Evaluate = Callable[[Policy], dict[str, Any]]
 """Evaluates a policy deterministically. Returns numbers by name, such as "success", and bytes under "gif" if any."""
-
-
-class Interrupted(Exception):
-    """The training was interrupted; `checkpoint` holds its last completed epoch. preempted: SIGTERM interrupted it."""
-
-    def __init__(self, checkpoint: Path, epoch: int, preempted: bool = False) -> None:
-        super().__init__(f"interrupted; epoch {epoch} is saved in {checkpoint}, continue with --resume")
-        self.checkpoint, self.epoch, self.preempted = checkpoint, epoch, preempted
 
 
 def epoch_generator(seed: int, epoch: int) -> torch.Generator:

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from dgrasp.config.names import TABLES
 from dgrasp.eval.paper import MOTION_OBJECTS, paper_tables
 from dgrasp.labels.splits import UNSEEN
 from dgrasp.methods import FlatRl, LearnedMotion
@@ -196,7 +197,7 @@ def _recipe() -> Plan:
 
 _PLANS = {"grasp": _grasp, "motion": _motion, "ablation": _ablation, "unseen": _unseen, "scope": _scope,
           "recipe": _recipe}  # fmt: skip
-NAMES = tuple(_PLANS)
+NAMES = TABLES
 
 
 def plans(name: str) -> list[Plan]:

@@ -19,7 +19,7 @@ from dgrasp.errors import DataError, DGraspError
 from dgrasp.files.atomic import write_atomic
 from dgrasp.files.paths import cfg_root
 from dgrasp.request import Asked
-from dgrasp.rl.run import checkpoint
+from dgrasp.rl.run.folder import latest, saved
 from dgrasp.rl.run.record import Run, read_run
 from dgrasp.tables.plan import ALL_OBJECTS, FAST, Plan, Trained, plans
 
@@ -65,7 +65,7 @@ class Trainings:
         """The current file of a run's policy; raises `DataError` if there is none."""
         if self.stands_in(run) and self.policy is not None:
             return self.policy
-        return checkpoint.latest(self.run_dir(run))
+        return latest(self.run_dir(run))
 
     def stands_in(self, run: Trained) -> bool:
         """Whether the file `policy` replaces a run."""
@@ -78,7 +78,7 @@ class Trainings:
         other = self._other_data(run)
         if other is not None:
             return other
-        if checkpoint.saved(self.run_dir(run)):
+        if saved(self.run_dir(run)):
             return None
         before = None if run.policy is None else self.missing(run.policy)
         if before is not None:
@@ -95,7 +95,7 @@ class Trainings:
             return [f"the policy of all objects is {self.policy.name}"]
         # The evaluation uses the last checkpoint; the log may be ahead of it.
         made = self._as_long(run, read_run(self.run_dir(run)))
-        if there_are := checkpoint.saved(self.run_dir(run)):
+        if there_are := saved(self.run_dir(run)):
             made = made.until(int(there_are[-1].stem))
         # The paper's training is the default of every key, except for baselines, which have their own config files.
         asked = load_config(None if run.cfg is None else cfg_root() / Path(run.cfg).name, list(run.overrides))
@@ -118,7 +118,7 @@ class Trainings:
         If train.py was given another file, the copy is made now, because the run of that file deletes old checkpoints.
         """
         folder = self.run_dir(run)
-        if run.policy is None or not checkpoint.saved(folder):
+        if run.policy is None or not saved(folder):
             return []
         copies = sorted(folder.glob(f"{_GRASP}.*"))
         named = Path(str(read_run(folder).config.motion.policy)).expanduser()
@@ -168,7 +168,7 @@ class Trainings:
         if made.state == "running" or made.complete or self._other_data(run) is not None:
             return None
         # A run on another run's policy that has no checkpoint yet starts again, with the current policy.
-        return "train" if run.policy is not None and not checkpoint.saved(folder) else "resume"
+        return "train" if run.policy is not None and not saved(folder) else "resume"
 
     def _train_with_own_grasp(self, run: Trained, policy: Path, limit: str) -> None:
         """Train a run with a copy, in its folder, of the policy that it builds on."""

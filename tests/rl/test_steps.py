@@ -8,7 +8,7 @@ from pathlib import Path
 
 from dgrasp.config.experiment import load_config
 from dgrasp.rl.collect import Actor, Trajectories
-from dgrasp.rl.run.log import PLAN_NAME
+from dgrasp.rl.run.folder import PLAN_NAME
 from dgrasp.rl.run.record import read_run
 from dgrasp.rl.runner import Runner
 from tests.rl.toy import ToyEnv, assert_same, last, rows_of, run, toy_config

@@ -15,7 +15,7 @@ from dgrasp import training
 from dgrasp.cli import run_command
 from dgrasp.config.experiment import find_config, load_config
 from dgrasp.rl.run import checkpoint
-from dgrasp.rl.run.log import write_description
+from dgrasp.rl.run.folder import write_description
 from dgrasp.tables import plan as plan_module
 from dgrasp.tables.fill import Cells, Found, fill
 from dgrasp.tables.plan import NAMES, Line, Plan, plans

@@ -7,20 +7,16 @@ import sys
 from collections import Counter
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from rich.console import Console
 from rich.progress import track
 
 from dgrasp.errors import DataError
-from dgrasp.hand.mano.file import read_mano
-from dgrasp.hand.mano.layout import MANO_NAMES
-from dgrasp.hand.mano.model import ManoModel
-from dgrasp.labels.formats.native import write_native
-from dgrasp.labels.recorded.making import LabelMaker, target_hand
-from dgrasp.labels.recorded.surfaces import Surfaces
-from dgrasp.labels.source import sha256_of
 from dgrasp.types import GraspLabel
+
+if TYPE_CHECKING:
+    from dgrasp.labels.recorded.making import LabelMaker
 
 _EXAMPLES, MAX_REASONS = 3, 5000
 _T = TypeVar("_T")
@@ -43,7 +39,12 @@ def make_maker(arguments: argparse.Namespace, folders: list[Path]) -> LabelMaker
     out = arguments.out
     if out.suffix != ".npz" or not out.parent.is_dir():
         raise DataError(f"--out {out}: expected the name of a .npz file in a folder that exists")
-    model: ManoModel = read_mano(arguments.mano)
+
+    from dgrasp.hand.mano.file import read_mano
+    from dgrasp.labels.recorded.making import LabelMaker, target_hand
+    from dgrasp.labels.recorded.surfaces import Surfaces
+
+    model = read_mano(arguments.mano)
     chosen = [arguments.objects] if arguments.objects is not None else folders
     return LabelMaker(target_hand(arguments.hand, model), model, Surfaces(chosen))
 
@@ -66,6 +67,11 @@ def finish(
         print(line)
     if not labels:
         raise DataError("no label is left; see above for what was skipped and why; nothing was written")
+
+    from dgrasp.hand.mano.layout import MANO_NAMES
+    from dgrasp.labels.formats.native import write_native
+    from dgrasp.labels.source import sha256_of
+
     reasons = {place[:200]: reason for place, (reason, _) in list(skipped.items())[:MAX_REASONS]}
     write_native(arguments.out, labels, {
         **provenance, "mano_file": arguments.mano.name, "mano_sha256": sha256_of(arguments.mano), "skipped": reasons,

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from dgrasp.config.names import MANO_CONVENTIONS as CHOICES
 from dgrasp.errors import DataError
 from dgrasp.hand.mano.model import ManoModel
 from dgrasp.hand.mano.params import ManoParams, hand_vertices, wrist_joints
@@ -22,16 +23,6 @@ from dgrasp.labels.recorded.mano_table import ManoTable
 from dgrasp.types import Array
 from raisim_like.rotations import transform
 
-CHOICES: dict[str, tuple[str, ...]] = {
-    "pose": ("pca", "axis-angle"), "mean": ("flat", "mano"), "fingers": ("mano", "project"),
-    "transl": ("mano", "wrist"), "quaternion": ("wxyz", "xyzw"),
-}
-"""The open questions, each an option of that name, and their answers.
-
-pose: PCA coefficients or rotation vectors. mean: whether they count from the flat hand or from MANO's mean pose.
-fingers: in the order index, middle, little, ring, thumb, or index, middle, ring, little, thumb. transl: MANO's
-translation of the mesh, or the wrist's position. quaternion: the order of `object_rotation`'s four numbers.
-"""
 FITS = 0.002
 """m. A reading of the table is confirmed if its key points lie this close to the given ones."""
 COMPARED = 50

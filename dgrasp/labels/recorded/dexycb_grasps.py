@@ -14,6 +14,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from dgrasp.config.names import DISPLACEMENT, START_DISTANCE
 from dgrasp.errors import DataError
 from dgrasp.hand.mano.model import ManoModel
 from dgrasp.labels.recorded.cache import LabelCache
@@ -26,10 +27,6 @@ from dgrasp.labels.source import sha256_of
 from dgrasp.objects.names import YCB_NAMES
 from dgrasp.types import Array, GraspLabel, StartPose
 
-DISPLACEMENT = 0.01
-"""m from where the object lay; in the labels that the authors published it is 9 mm (median)."""
-START_DISTANCE = 0.20
-"""m between wrist and object at the start; in the labels that the authors published it is 0.18 to 0.20."""
 APPROACH = 0.05
 """m that the wrist approaches in grasps of large objects, whose origin is beyond the start's distance at the grasp."""
 FAR = 0.4

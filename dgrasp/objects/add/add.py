@@ -19,19 +19,18 @@ from typing import Any
 
 import numpy as np
 
+from dgrasp.config.names import DENSITY, OVERLAP
 from dgrasp.errors import DataError
 from dgrasp.files.atomic import write_atomic
 from dgrasp.files.paths import user_cache_root
 from dgrasp.objects import store
-from dgrasp.objects.add.fit import OVERLAP, Choice, fit_shapes, simplified
+from dgrasp.objects.add.fit import Choice, fit_shapes, simplified
 from dgrasp.objects.add.mesh_reader import MeshFile, Units, read_mesh_file
 from dgrasp.objects.add.parts import obj_text
 from dgrasp.objects.add.picture import picture
 from dgrasp.objects.add.repair import repair
 from dgrasp.types import Array
 
-DENSITY = 500.0
-"""Density if neither mass nor density is given, kg/m^3; household objects are partly hollow."""
 SURFACE_FACES = 20_000
 """Number of triangles to which a larger surface is simplified, if its shape allows (`simplified`)."""
 _VERSION = 2

@@ -16,6 +16,7 @@ import numpy as np
 from scipy.optimize import minimize
 from scipy.spatial import QhullError
 
+from dgrasp.config.names import OVERLAP, PRIMITIVES
 from dgrasp.errors import DataError
 from dgrasp.files.atomic import write_atomic
 from dgrasp.geometry.approximate import fit_box, fit_capsule
@@ -31,9 +32,6 @@ from raisim_like.shapes import Shape
 from raisim_like.urdf import shape_pose
 
 Choice = Literal["auto", "box", "cylinder", "sphere", "capsule", "parts", "mesh"]
-PRIMITIVES = ("box", "cylinder", "sphere", "capsule")
-OVERLAP = 0.9
-"""Smallest overlap at which a single primitive is taken."""
 PARTS_OVERLAP = 0.55
 """Smallest overlap at which convex parts are taken. Thin shells and bars are below it; then their mesh collides."""
 COLLISION_FILE = "collision.obj"

@@ -6,7 +6,6 @@ import contextlib
 import copy
 import hashlib
 import io
-import re
 import zipfile
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -18,10 +17,10 @@ from torch import Tensor
 from dgrasp.errors import DataError
 from dgrasp.files.atomic import TEMPORARY, write_atomic
 from dgrasp.rl.networks import ActorCritic, Policy, make_mlp, parameter_shapes
+from dgrasp.rl.run.folder import BEST, FOLDER, saved
+from dgrasp.rl.run.folder import latest as latest
 
 SCHEMA = 2
-FOLDER, BEST = "checkpoints", "best.pt"
-_NAME = re.compile(r"\d{6,}\.pt")
 _MAX_BYTES = 2**30
 _SEAL = b"dgrasp sha256 "
 _SEAL_SIZE = len(_SEAL) + 64
@@ -97,21 +96,6 @@ def _is_whole(content: bytes) -> bool:
     with zipfile.ZipFile(io.BytesIO(content)) as archive:
         stored = all(item.compress_type == zipfile.ZIP_STORED for item in archive.infolist())
         return stored and archive.testzip() is None
-
-
-def saved(run_dir: Path) -> list[Path]:
-    """The checkpoints of a run directory, oldest first."""
-    folder = run_dir / FOLDER
-    found = [path for path in folder.glob("*.pt") if _NAME.fullmatch(path.name)] if folder.is_dir() else []
-    return sorted(found, key=lambda path: int(path.stem))
-
-
-def latest(run_dir: Path) -> Path:
-    """The newest checkpoint of a run directory; `DataError` if it has none."""
-    found = saved(run_dir)
-    if not found:
-        raise DataError(f"{run_dir}: no checkpoint there; expected {FOLDER}/NNNNNN.pt, as train.py writes them")
-    return found[-1]
 
 
 def prune(run_dir: Path, keep: int) -> None:

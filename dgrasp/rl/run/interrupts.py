@@ -6,6 +6,7 @@ import contextlib
 import signal
 import threading
 from collections.abc import Iterator
+from pathlib import Path
 from types import FrameType
 from typing import Any
 
@@ -14,6 +15,14 @@ _SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 class Preempted(KeyboardInterrupt):
     """Raised on SIGTERM: a scheduler reclaims the machine and counts a clean exit as success."""
+
+
+class Interrupted(Exception):
+    """The training was interrupted; `checkpoint` holds its last completed epoch. preempted: by SIGTERM."""
+
+    def __init__(self, checkpoint: Path, epoch: int, preempted: bool = False) -> None:
+        super().__init__(f"interrupted; epoch {epoch} is saved in {checkpoint}, continue with --resume")
+        self.checkpoint, self.epoch, self.preempted = checkpoint, epoch, preempted
 
 
 def _interrupt(number: int, frame: FrameType | None) -> None:

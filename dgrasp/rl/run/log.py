@@ -22,10 +22,9 @@ from dgrasp.files.atomic import write_atomic
 from dgrasp.rl.collect import Incident
 from dgrasp.rl.ppo import STATISTICS
 from dgrasp.rl.run.events import EventFile
+from dgrasp.rl.run.folder import CSV_NAME, write_description, write_plan
 from dgrasp.rl.run.progress import TrainingProgress
 
-CSV_NAME = "progress.csv"
-PLAN_NAME = "run.json"
 RETURN, TERMINATED, TRUNCATED = "train/return", "train/terminated", "train/truncated"
 SUCCESS, CONTACT_RATIO = "eval/success", "eval/contact_ratio"
 MPE, GEODESIC, CARRIED = "eval/mpe_m", "eval/geodesic_rad", "eval/carried"
@@ -217,27 +216,6 @@ class Log:
                 f"{self._run_dir}: cannot write the log ({error.strerror or error}); the checkpoints there are "
                 "unharmed. Free some space and continue with --resume"
             ) from None
-
-
-def write_description(run_dir: Path, config: Config, data_stamp: Mapping[str, Any]) -> None:
-    """Write config.yaml and data.json (the data stamp) in a run directory."""
-    write_atomic(run_dir / "config.yaml", dump_config(config))
-    write_atomic(run_dir / "data.json", json.dumps(data_stamp, indent=2) + "\n")
-
-
-def write_plan(run_dir: Path, environments: int, epochs: int, max_steps: int | None, last_epoch: int) -> None:
-    """Write the plan with which a run was begun or resumed; `Run.epochs` cannot derive it from the config alone."""
-    plan = {"environments": environments, "epochs": epochs, "max_steps": max_steps, "last_epoch": last_epoch}
-    write_atomic(run_dir / PLAN_NAME, json.dumps(plan) + "\n")
-
-
-def read_plan(run_dir: Path) -> dict[str, Any]:
-    """The plan that `write_plan` wrote; empty if there is none that can be read."""
-    try:
-        plan = json.loads((run_dir / PLAN_NAME).read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        return {}
-    return plan if isinstance(plan, dict) and isinstance(plan.get("last_epoch"), int) else {}
 
 
 def steps_made(run_dir: Path, epoch: int) -> int | None:

@@ -8,8 +8,9 @@ from typing import Any
 
 from dgrasp.rl.networks import Policy
 from dgrasp.rl.run.checkpoint import load, policy_of, read_torch_file
+from dgrasp.rl.run.folder import WEIGHTS_SUFFIX
 from dgrasp.rl.run.published import is_published, load_published_actor
-from dgrasp.rl.run.weights import SUFFIX, read_weights
+from dgrasp.rl.run.weights import read_weights
 
 
 @dataclass(frozen=True)
@@ -33,7 +34,7 @@ class SavedPolicy:
 
 def read_policy(path: Path) -> SavedPolicy:
     """Read this project's checkpoint or published weights, or the authors' checkpoint; `DataError` for other files."""
-    if path.suffix == SUFFIX:
+    if path.suffix == WEIGHTS_SUFFIX:
         policy, about = read_weights(path)
         return SavedPolicy(policy, about["config"])
     if is_published(read_torch_file(path, "a checkpoint")):

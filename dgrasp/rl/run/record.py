@@ -12,9 +12,8 @@ from typing import Any
 
 from dgrasp.config.experiment import Config, load_config
 from dgrasp.errors import ConfigError
-from dgrasp.rl.run.checkpoint import saved
+from dgrasp.rl.run.folder import CSV_NAME, read_plan, saved
 from dgrasp.rl.run.lock import is_running
-from dgrasp.rl.run.log import CSV_NAME, read_plan
 
 
 @dataclass(frozen=True)

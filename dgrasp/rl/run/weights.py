@@ -19,7 +19,6 @@ from dgrasp.files.atomic import write_atomic
 from dgrasp.rl.networks import Policy, make_mlp
 from dgrasp.rl.run.checkpoint import Checkpoint
 
-SUFFIX = ".safetensors"
 FORMAT, SCHEMA = "dgrasp-policy", "1"
 MAX_BYTES = 64 * 2**20
 _SIZES = ("observation_size", "actor_size", "action_size")

@@ -1,0 +1,81 @@
+"""What answers at once: `--help` and refusals load none of the libraries that take seconds to import."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from dgrasp.cli import COMMANDS
+from dgrasp.config import names
+from dgrasp.files.paths import shipped_root
+from dgrasp.methods import METHODS
+from dgrasp.tables.plan import _PLANS
+
+HEAVY = ("torch", "pybullet", "mujoco", "trimesh", "scipy", "matplotlib")
+_CODE = """
+import sys
+from dgrasp.cli import main
+code = 0
+try:
+    code = main(sys.argv[2:])
+except SystemExit as stop:
+    code = stop.code
+print([name for name in sys.argv[1].split(",") if name in sys.modules], file=sys.stderr)
+sys.exit(code)
+"""
+
+
+def run(words: list[str], cwd: Path, heavy: tuple[str, ...] = HEAVY) -> tuple[int, str, str]:
+    """Exit code, stdout and stderr of a command in an interpreter of its own; stderr ends with what it loaded."""
+    command = [sys.executable, "-c", _CODE, ",".join(heavy), *words]
+    # The first entry of the path is the current folder.
+    done = subprocess.run(command, cwd=cwd, capture_output=True, text=True, env={"PYTHONPATH": str(shipped_root())})
+    return done.returncode, done.stdout, done.stderr
+
+
+@pytest.mark.parametrize("words", [[], *([*name.split(), "--help"] for name in COMMANDS)], ids=" ".join)
+def test_help_loads_nothing_heavy(words: list[str], tmp_path: Path) -> None:
+    code, out, err = run(words or ["--help"], tmp_path)
+    assert code == 0 and out.startswith("usage: ") and err == "[]\n"
+
+
+def test_the_usage_loads_neither_numpy_nor_pydantic(tmp_path: Path) -> None:
+    code, _, err = run(["--help"], tmp_path, ("numpy", "pydantic", "yaml", "rich"))
+    assert code == 0 and err == "[]\n"
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["train", "--cfg", "cfg/fast.yaml", "ppo.epoch=3"], "did you mean 'ppo.epochs'?"),
+        (["train", "--cfg", "none.yaml"], "none.yaml"),
+        (["train", "--cfg", "cfg/fast.yaml", "--data", "none"], "none"),
+        (["train", "--cfg", "cfg/fast.yaml", "--data", "free", "labels.objects=[999_none]"], "999_none"),
+        (["train", "--resume", "none"], "no run to resume"),
+        (["test", "--baseline", "gt_pd", "ppo.epoch=3"], "did you mean 'ppo.epochs'?"),
+        (["test"], "expected one of --baseline, --run and --policy"),
+        (["test", "--run", "none"], "none: no checkpoint there"),
+        (["test", "--policy", "none.pt"], "none.pt: no such file"),
+        (["test", "--policy", "none.pt", "--cfg", "cfg/fast.yaml", "ppo.epoch=3"], "did you mean 'ppo.epochs'?"),
+        (["test", "--table", "grasp", "ppo.epoch=3"], "did you mean 'ppo.epochs'?"),
+        (["test", "--table", "grasp", "--report", "x.html"], "leave --report away"),
+        (["test", "--baseline", "gt_pd", "--labels", "none.npz"], "none.npz"),
+        (["demo", "ppo.epoch=3"], "did you mean 'ppo.epochs'?"),
+        (["runs", "none"], "none: no such folder"),
+        (["publish", "none", "--out", "x.safetensors"], "none: no such file"),
+        (["object", "add", "none.obj", "--mass", "0"], "--mass 0"),
+    ],
+)
+def test_a_refusal_does_not_load_torch(words: list[str], said: str, tmp_path: Path) -> None:
+    code, _, err = run(words, tmp_path, ("torch", "pybullet", "mujoco"))
+    message, loaded = err.rsplit("[", 1)
+    assert code == 2 and message.startswith("error: ") and said in message
+    assert loaded == "]\n"
+
+
+def test_the_names_that_help_shows_are_those_of_the_code() -> None:
+    assert set(names.BASELINES) == METHODS.keys() - {"policy"} and list(names.BASELINES) == sorted(names.BASELINES)
+    assert tuple(_PLANS) == names.TABLES
