@@ -1,4 +1,7 @@
-"""Read .npz archives of plain numbers and text. Sizes are checked before anything is unpacked."""
+"""Read .npz archives of plain numbers and text. Sizes are checked before anything is unpacked.
+
+Arrays of objects are pickles; `dgrasp.files.pickles` reads them if the caller asks for them (kind "O").
+"""
 
 from __future__ import annotations
 
@@ -12,6 +15,8 @@ from pathlib import Path
 import numpy as np
 
 from dgrasp.errors import DataError
+from dgrasp.files.joblib import PlainUnpickler
+from dgrasp.files.pickles import RestrictedUnpickler, load_pickle
 from dgrasp.types import Array
 
 _KINDS = {"U": "text", "biuf": "plain numbers"}
@@ -26,8 +31,11 @@ class NpzArchive:
         self._entries = archive.infolist()
         self.names = [entry.filename for entry in self._entries]
 
-    def read(self, name: str, kinds: str) -> Array:
-        """The array `name` (without .npy), of a dtype of these kinds; its header must announce its exact size."""
+    def read(self, name: str, kinds: str, unpickler: type[RestrictedUnpickler] = PlainUnpickler) -> Array:
+        """The array of `name` (without .npy), of a dtype of these kinds; its header must announce its exact size.
+
+        unpickler: reads an array of objects, if `kinds` has O.
+        """
         entry = self._entries[self.names.index(f"{name}.npy")]
         with self._archive.open(entry) as stream:
             # Read at most one byte more than announced: a read without a limit unpacks everything first and cuts later.
@@ -37,6 +45,14 @@ class NpzArchive:
             raise DataError(f"{self._path}: {name} is of another .npy version; expected 1.0, as numpy writes it")
         shape, _, dtype = np.lib.format.read_array_header_1_0(content)
         left = len(raw) - content.tell()
+        if dtype.kind == "O" and "O" in kinds:
+            try:
+                objects = load_pickle(raw[content.tell() :], unpickler, "array of objects")
+            except DataError as error:
+                raise DataError(f"{self._path}: {name}: {error}") from None
+            if not isinstance(objects, np.ndarray) or objects.shape != shape:
+                raise DataError(f"{self._path}: {name} announces {str(shape)[:100]} objects; expected an array of them")
+            return objects
         if dtype.kind not in kinds or math.prod(shape) * dtype.itemsize != left:
             wanted = _KINDS.get(kinds, f"numbers of kind {kinds!r}")
             raise DataError(f"{self._path}: {name} announces {str(shape)[:100]} of {dtype.str[:100]}, with {left} "

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from dgrasp.errors import DataError
-from dgrasp.files import licences
+from dgrasp.files import licences, pickles
 from dgrasp.hand.layout import HandNames
 from dgrasp.hand.mano.layout import MANO_NAMES
 from dgrasp.labels.formats import official
@@ -62,12 +62,12 @@ class FileContent(NamedTuple):
 
 @dataclass(frozen=True)
 class LabelFormat:
-    """A format of label files.
+    """A format of label files. head: the first bytes of each, or several, of which each has one.
 
-    head: the first bytes of each such file. name: what messages call such a file. expected: what messages ask for.
+    name, expected: what messages call it, and ask for.
     """
 
-    head: bytes
+    head: bytes | tuple[bytes, ...]
     name: str
     expected: str
     read: Callable[[Path], FileContent]
@@ -83,7 +83,7 @@ def _read_npz(path: Path) -> FileContent:
 
 
 FORMATS = (
-    LabelFormat(b"\x80", "a joblib pickle", "a release's .pkl", _read_pickle),
+    LabelFormat(pickles.HEADS, "a joblib pickle", "a release's .pkl", _read_pickle),
     LabelFormat(b"PK", "a .npz file", "a .npz written by `dgrasp labels`", _read_npz),
 )
 """The formats that are read. A file's content, not its name, determines its format."""
@@ -132,7 +132,7 @@ def load_labels(path: Path) -> LabelSet:
         raise DataError(f"{path}: no such label file; expected {expected}")
     try:
         with path.open("rb") as stream:
-            head = stream.read(max(4, *(len(form.head) for form in FORMATS)))
+            head = stream.read(16)
     except OSError as error:
         raise DataError(f"{path}: cannot be read ({error.strerror or error})") from None
     form = next((form for form in FORMATS if head.startswith(form.head)), None)

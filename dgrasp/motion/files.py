@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from dgrasp.errors import DataError
+from dgrasp.files.pickles import HEADS
 from dgrasp.motion.paths import sample
 from dgrasp.motion.targets import TargetSet, easy_targets
 from dgrasp.types import Array
@@ -44,7 +45,7 @@ def read_targets(path: Path, period: float) -> TargetSet:
         raw = path.read_bytes()
     except OSError as error:
         raise DataError(f"{path}: cannot be read ({error.strerror or error})") from None
-    if raw.startswith(b"\x80"):
+    if raw.startswith(HEADS):
         return easy_targets(path)
     columns = _npz(path, raw) if raw.startswith(b"PK") else _text(path, raw)
     T, time = _poses(path, columns), _time(path, columns)

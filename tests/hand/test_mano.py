@@ -13,8 +13,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy import sparse
 
 from dgrasp.errors import DataError
+from dgrasp.hand.free.skin import skin_path
 from dgrasp.hand.mano.file import MAX_FILE_BYTES, read_mano
 from dgrasp.hand.mano.model import PART_TO_MANO, ManoModel, tip_vertices
 from dgrasp.hand.mano.skeleton import PARTS
@@ -72,6 +74,34 @@ def test_plain_arrays_of_python_3_are_read(tmp_path: Path) -> None:
     for protocol in (3, 4):
         (tmp_path / "a.pkl").write_bytes(pickle.dumps(arrays, protocol))
         assert np.array_equal(read_mano(tmp_path / "a.pkl").pose_basis, arrays["posedirs"])
+
+
+@pytest.mark.parametrize("protocol", range(6))
+def test_every_protocol_with_a_sparse_regressor(tmp_path: Path, protocol: int) -> None:
+    arrays = mano_arrays()
+    content = {**arrays, "J_regressor": sparse.coo_matrix(arrays["J_regressor"])}
+    (tmp_path / "a.pkl").write_bytes(pickle.dumps(content, protocol))
+    assert np.array_equal(read_mano(tmp_path / "a.pkl").J_regressor, arrays["J_regressor"])
+
+
+def test_npz_archives(tmp_path: Path) -> None:
+    arrays = mano_arrays()
+    np.savez(tmp_path / "plain.npz", **arrays, more=np.array(["not read"]))
+    np.savez_compressed(tmp_path / "objects.npz", **{
+        **arrays, "J_regressor": np.array(sparse.csc_matrix(arrays["J_regressor"]), dtype=object), "bs_style": "lbs",
+    })  # fmt: skip
+    for name in ("plain.npz", "objects.npz"):
+        model = read_mano(tmp_path / name)
+        for key, field in FIELDS.items():
+            assert np.array_equal(getattr(model, field), arrays[key]), key
+    # The free hand's own file.
+    assert read_mano(skin_path()).side == "right"
+    np.savez(tmp_path / "evil.npz", **{**arrays, "J_regressor": np.array(Path("x"), dtype=object)})
+    with pytest.raises(DataError, match=r"evil\.npz: .*asks for 'pathlib"):
+        read_mano(tmp_path / "evil.npz")
+    np.savez(tmp_path / "text.npz", **{**arrays, "J_regressor": np.array(["a"])})
+    with pytest.raises(DataError, match="J_regressor is a ndarray; expected an array of numbers"):
+        read_mano(tmp_path / "text.npz")
 
 
 def test_other_forms_of_the_same_numbers(tmp_path: Path) -> None:

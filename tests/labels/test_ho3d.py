@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import collections
+import gzip
 import pickle
 from pathlib import Path
 from typing import Any
@@ -61,7 +63,10 @@ def text_protocol(content: dict[str, Any]) -> bytes:
 
 
 FORMS = {"python 2": pickled, "python 2, text": text_protocol, "python 3": lambda c: pickle.dumps(c, 3),
-         "python 3.8": lambda c: pickle.dumps(c, 4)}
+         "python 3.8": lambda c: pickle.dumps(c, 4), "protocol 0": lambda c: pickle.dumps(c, 0),
+         "protocol 5": lambda c: pickle.dumps(c, 5),
+         "other names": lambda c: pickle.dumps(collections.OrderedDict({**c, "objName": np.str_(c["objName"])}), 4),
+         "bytes": lambda c: gzip.compress(pickle.dumps({**c, "objName": c["objName"].encode()}, 2))}
 
 
 @pytest.mark.parametrize("form", FORMS)

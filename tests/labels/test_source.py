@@ -37,7 +37,7 @@ def test_published_files_are_known_by_name(tmp_path: Path, name: str, key: tuple
     assert ("DexYCB" in labels.licence) == (key[0] == "dexycb")
 
 
-@pytest.mark.parametrize("raw", [b"", b"P", b"hello", b"\x1f\x8b\x08", b"{}"])
+@pytest.mark.parametrize("raw", [b"", b"P", b"hello", b"\x1f\x8c\x08", b"{}"])
 def test_other_files_are_refused(tmp_path: Path, raw: bytes) -> None:
     (tmp_path / "a.pkl").write_bytes(raw)
     with pytest.raises(DataError, match=r"neither a joblib pickle nor a \.npz"):

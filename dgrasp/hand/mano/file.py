@@ -7,7 +7,6 @@ flattened expression `a`. Both are read as data; `dgrasp.files.pickles` refuses 
 
 from __future__ import annotations
 
-import math
 import reprlib
 from pathlib import Path
 from typing import Any, ClassVar
@@ -15,16 +14,19 @@ from typing import Any, ClassVar
 import numpy as np
 
 from dgrasp.errors import DataError
-from dgrasp.files.pickles import (
-    ArrayUnpickler,
-    Globals,
-    read_pickle,
-)
+from dgrasp.files import sparse
+from dgrasp.files.joblib import PlainUnpickler
+from dgrasp.files.npz import open_npz
+from dgrasp.files.pickles import Globals, read_pickle
 from dgrasp.hand.mano.model import EXTENT, MANO_PARENTS, ManoModel, finger_side, tip_vertices
 from dgrasp.types import Array
 
 MAX_FILE_BYTES = 16 * 2**20
-"""Largest file that is read (MANO's have 4 MB)."""
+"""Largest pickle that is read (MANO's have 4 MB)."""
+MAX_UNPACKED_BYTES = 64 * 2**20
+ENTRIES = ("v_template", "f", "shapedirs", "posedirs", "J_regressor", "weights", "kintree_table", "hands_mean",
+           "hands_components", "bs_style", "bs_type")  # fmt: skip
+"""What is read of a file."""
 MAX_VERTICES, MAX_SHAPES = 10_000, 400
 _GIVE = "give MANO_RIGHT.pkl or MANO_LEFT.pkl"
 
@@ -39,46 +41,21 @@ class _Select(_Chumpy):
     """chumpy.reordering.Select."""
 
 
-class _Sparse:
-    """A scipy sparse matrix: its state."""
-
-    state: dict[str, Any]
-    by_columns = True
-
-
-class _SparseRows(_Sparse):
-    by_columns = False
-
-
 def _set(items: Any = ()) -> None:
     """In place of sets: chumpy's states hold sets of names, which are not needed."""
 
 
-_ALLOWED: Globals = {
-    **ArrayUnpickler.allowed,
-    ("chumpy.ch", "Ch"): _Chumpy,
-    ("chumpy.reordering", "Select"): _Select,
-    ("scipy.sparse.csc", "csc_matrix"): _Sparse,
-    ("scipy.sparse._csc", "csc_matrix"): _Sparse,
-    ("scipy.sparse.csr", "csr_matrix"): _SparseRows,
-    ("scipy.sparse._csr", "csr_matrix"): _SparseRows,
-    ("__builtin__", "set"): _set,
-    ("builtins", "set"): _set,
-}
+class _ManoUnpickler(PlainUnpickler):
+    """Reads plain data and keeps the states of chumpy's objects as well."""
 
-
-class _ManoUnpickler(ArrayUnpickler):
-    """Builds numpy arrays and keeps the states of chumpy and scipy objects."""
-
-    allowed: ClassVar[Globals] = _ALLOWED
-
-    def build(self, target: Any, state: Any) -> Any:
-        if isinstance(target, (_Chumpy, _Sparse)):
-            if not isinstance(state, dict):
-                raise DataError("malformed chumpy expression or sparse matrix")
-            target.state = state
-            return target
-        return super().build(target, state)
+    kept = (sparse.SparseStub, _Chumpy)
+    allowed: ClassVar[Globals] = {
+        **PlainUnpickler.allowed,
+        ("chumpy.ch", "Ch"): _Chumpy,
+        ("chumpy.reordering", "Select"): _Select,
+        ("__builtin__", "set"): _set,
+        ("builtins", "set"): _set,
+    }
 
 
 def read_mano(path: Path) -> ManoModel:
@@ -88,7 +65,17 @@ def read_mano(path: Path) -> ManoModel:
     frame or order of fingers than MANO's.
     """
     path = Path(path)
-    return model_of(read_pickle(path, _ManoUnpickler, "MANO file", MAX_FILE_BYTES, starts=b"\x80"), path)
+    if path.suffix == ".npz":
+        return model_of(_read_npz(path), path)
+    return model_of(read_pickle(path, _ManoUnpickler, "MANO file", MAX_FILE_BYTES), path)
+
+
+def _read_npz(path: Path) -> dict[str, Any]:
+    """MANO's entries of a .npz; an array of one object, such as a sparse matrix, is that object."""
+    with open_npz(path, "MANO file", MAX_UNPACKED_BYTES) as archive:
+        there = [name.removesuffix(".npy") for name in archive.names]
+        content = {name: archive.read(name, "biufUSO", _ManoUnpickler) for name in there if name in ENTRIES}
+    return {name: array.item() if array.shape == () else array for name, array in content.items()}
 
 
 def model_of(content: Any, path: Path) -> ManoModel:
@@ -197,27 +184,11 @@ def _evaluated(value: Any, key: str) -> Any:
 
 def _dense(value: Any, key: str) -> Array:
     """An array unchanged, or a sparse matrix as a dense array."""
-    if isinstance(value, np.ndarray):
+    if isinstance(value, np.ndarray) and value.dtype.kind in "biuf":
         return value
-    if not isinstance(value, _Sparse) or not isinstance(getattr(value, "state", None), dict):
+    if not isinstance(value, sparse.SparseStub):
         raise DataError(f"{key} is a {type(value).__name__.strip('_')}; expected an array of numbers")
-    state = value.state
-    shape: Any = state.get("_shape", state.get("shape"))
-    parts: list[Any] = [state.get(name) for name in ("data", "indices", "indptr")]
-    data, inner, starts = parts
-    arrays = all(isinstance(a, np.ndarray) and a.ndim == 1 for a in parts)
-    pair = isinstance(shape, tuple) and len(shape) == 2 and all(isinstance(n, int) for n in shape)
-    if not arrays or not pair or min(shape) <= 0 or math.prod(shape) > 16 * MAX_VERTICES:
-        raise DataError(f"{key} is a damaged sparse matrix; get the file again")
-    outer_size, inner_size = (shape[1], shape[0]) if value.by_columns else shape
-    whole = inner.dtype.kind in "iu" and starts.dtype.kind in "iu"
-    if not whole or len(starts) != outer_size + 1 or not (starts[0] == 0 and starts[-1] == len(data) == len(inner)):
-        raise DataError(f"{key} is a sparse matrix whose indices do not fit; get the file again")
-    counts = np.diff(starts.astype(np.int64))
-    if (counts < 0).any() or (len(inner) and not (inner.min() >= 0 and inner.max() < inner_size)):
-        raise DataError(f"{key} is a sparse matrix whose indices do not fit; get the file again")
-    outer = np.repeat(np.arange(outer_size), counts)
-    rows, columns = (inner, outer) if value.by_columns else (outer, inner)
-    dense = np.zeros(shape)
-    np.add.at(dense, (rows, columns), data)
-    return dense
+    try:
+        return sparse.dense(value, 16 * MAX_VERTICES)
+    except DataError as error:
+        raise DataError(f"{key} is a {error}; get the file again") from None

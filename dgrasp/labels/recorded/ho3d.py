@@ -16,7 +16,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from dgrasp.errors import DataError
-from dgrasp.files.pickles import PLAIN_OPCODES, ArrayUnpickler, opcodes, read_pickle
+from dgrasp.files.arrays import plain_text
+from dgrasp.files.joblib import PlainUnpickler
+from dgrasp.files.pickles import read_pickle
 from dgrasp.hand.mano.params import ManoParams
 from dgrasp.labels.formats import checks
 from dgrasp.labels.recorded.making import LabelMaker, numbered
@@ -26,14 +28,7 @@ from dgrasp.types import Array, GraspLabel
 from raisim_like.rotations import transform
 
 MAX_FILE_BYTES = 4 * 2**20
-"""Largest annotation that is read (HO3D's have some ten kilobytes)."""
-_TEXT_OPCODES = ("INT", "LONG", "FLOAT", "STRING", "UNICODE", "LIST", "DICT", "PUT", "GET")
-
-
-class _Ho3dUnpickler(ArrayUnpickler):
-    """Reads the text protocol of Python 2 as well."""
-
-    handlers = opcodes((*PLAIN_OPCODES, *_TEXT_OPCODES, "SHORT_BINSTRING", "BINSTRING"))
+"""Largest annotation that is read (they have some ten kilobytes)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,8 +54,8 @@ def find_frames(root: Path, every: int) -> list[Path]:
 
 
 def read_annotation(path: Path) -> Annotation:
-    """Read a frame's annotation. Raises `Skip` if hand or object is not annotated, `DataError` for a bad file."""
-    content = read_pickle(path, _Ho3dUnpickler, "HO3D annotation", MAX_FILE_BYTES, starts=b"\x80(}")
+    """A frame's annotation. Raises `Skip` where hand or object is not annotated, `DataError` for a bad file."""
+    content = read_pickle(path, PlainUnpickler, "HO3D annotation", MAX_FILE_BYTES)
     if not isinstance(content, dict):
         raise DataError(f"{path}: holds a {type(content).__name__}; expected a dictionary; get the file again")
     fields: dict[str, Array] = {}
@@ -69,8 +64,8 @@ def read_annotation(path: Path) -> Annotation:
         if any(content.get(name) is None for name in widths):
             raise Skip(f"{what} not annotated")
         fields |= {name: _vector(content[name], name, width, path) for name, width in widths.items()}
-    name = content.get("objName")
-    if not isinstance(name, str):
+    name = plain_text(content.get("objName"))
+    if name is None:
         raise DataError(f"{path}: objName is no text; get the file again")
     try:
         known = resolve_object(name)

@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from dgrasp.errors import DataError
+from dgrasp.files.arrays import plain_text
 from dgrasp.files.npz import open_npz
 from dgrasp.objects.names import resolve_object
 from dgrasp.types import Array
@@ -122,11 +123,14 @@ def _read_npz(path: Path) -> tuple[dict[str, Array], list[str] | None]:
             if archive.names.count(file) > 1 or (name not in WIDTHS and name != "object") or name == file:
                 raise DataError(f"{path}: unknown or duplicate member {file[:60]!r}; {_FORM}")
             if name == "object":
-                array = archive.read(name, "Uiu")
+                array = archive.read(name, "USOiu")
                 if array.ndim != 1 or len(array) > MAX_ROWS or array.dtype.itemsize > 800:
                     raise DataError(f"{path}: object has shape {array.shape} of {array.dtype.str[:20]}; expected one "
                                     "name per row")
-                names = [str(value) for value in array]
+                found = [str(v) if isinstance(v, (int, np.integer)) else plain_text(v) for v in array]
+                names = [v for v in found if v is not None]
+                if len(names) < len(found):
+                    raise DataError(f"{path}: row {found.index(None)}: object is no text; expected one name per row")
             else:
                 values[name] = _checked(path, name, archive.read(name, "biuf"))
     return values, names
