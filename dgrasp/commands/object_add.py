@@ -39,6 +39,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--name", help="the object's name in labels (default: the file's name)")
     parser.add_argument("--units", choices=("auto", *SCALES), default="auto",
                         help="the file's unit of length (default: the only unit that gives an object of 1 to 50 cm)")
+    parser.add_argument("--scale", type=float, default=1.0, metavar="S",
+                        help="factor for the file's numbers, before the unit (default: 1); for a mesh that was normalised")
     weight = parser.add_mutually_exclusive_group()
     weight.add_argument("--mass", type=float, metavar="KG", help="the object's mass")
     weight.add_argument("--density", type=float, metavar="KG/M3", default=DENSITY,
@@ -59,7 +61,7 @@ def main(arguments: argparse.Namespace) -> int:
     """Add the object or objects and print their figures; returns the exit code."""
     if not 0.0 < arguments.overlap <= 1.0:
         raise DataError(f"--overlap {arguments.overlap:g}: expected a share above 0 and at most 1")
-    for option in ("mass", "density"):
+    for option in ("mass", "density", "scale"):
         value = getattr(arguments, option)
         if value is not None and not 0.0 < value < np.inf:
             raise DataError(f"--{option} {value:g}: expected a positive number")
@@ -75,7 +77,7 @@ def main(arguments: argparse.Namespace) -> int:
                 raise DataError(f"{file}: the name {name[:100]!r} cannot be given to an object ({why}); choose another "
                                 "name with --name")
             added.append(add_object(file, to, name, arguments.units, _mass(arguments), arguments.shape,
-                                    arguments.overlap, arguments.replace))
+                                    arguments.overlap, arguments.replace, arguments.scale))
         except DataError as error:
             if not arguments.mesh.is_dir():
                 raise

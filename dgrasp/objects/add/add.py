@@ -33,7 +33,7 @@ from dgrasp.types import Array
 
 SURFACE_FACES = 20_000
 """Number of triangles to which a larger surface is simplified, if its shape allows (`simplified`)."""
-_VERSION = 2
+_VERSION = 3
 """Increases whenever the results for the same file and choices change."""
 _MADE = "made.json"
 _THIN = 2.0
@@ -65,17 +65,17 @@ class Added:
 
 def add_object(
     file: Path, to: Path, name: str, units: Units = "auto", mass: Mass | None = None, choice: Choice = "auto",
-    threshold: float = OVERLAP, replace: bool = False,
+    threshold: float = OVERLAP, replace: bool = False, scale: float = 1.0,
 ) -> Added:
     """Make the object `name` from a mesh file, in the folder `to`/`name`.
 
-    units, choice, threshold: as `MeshFile.scaled` and `fit_shapes` take them. Raises `DataError` for a file that
-    yields no object, for a mass that no body has, and for a folder that holds another object, unless `replace`.
+    units, scale, choice, threshold: as `MeshFile.scaled` and `fit_shapes` take them. Raises `DataError` for a file
+    that yields no object, for a mass that no body has, and for a folder that holds another object, unless `replace`.
     """
     mesh = read_mesh_file(file)
-    vertices, unit = mesh.scaled(units)
-    made, cached = _made(mesh, vertices, unit, choice, threshold)
-    meta = _describe(name, mesh, made, mass or Mass())
+    vertices, unit = mesh.scaled(units, scale)
+    made, cached = _made(mesh, vertices, unit, choice, threshold, scale)
+    meta = _describe(name, mesh, made, mass or Mass(), scale)
     folder = Path(to) / name
     if os.path.isfile(folder / store.META_FILE):
         try:
@@ -91,9 +91,10 @@ def add_object(
     return Added(meta, folder, cached)
 
 
-def _key(mesh: MeshFile, unit: str, choice: str, threshold: float) -> str:
+def _key(mesh: MeshFile, unit: str, choice: str, threshold: float, scale: float) -> str:
     by = {"version": _VERSION, "libraries": [version(name) for name in ("trimesh", "manifold3d", "coacd")],
-          "file": mesh.sha256, "format": mesh.path.suffix.lower(), "units": unit, "shape": choice, "overlap": threshold}
+          "file": mesh.sha256, "format": mesh.path.suffix.lower(), "units": unit, "scale": scale, "shape": choice,
+          "overlap": threshold}
     return hashlib.sha256(json.dumps(by, sort_keys=True).encode()).hexdigest()[:24]
 
 
@@ -101,9 +102,10 @@ Made = tuple[dict[str, Any], dict[str, bytes]]
 """The results for a file: figures as plain values, and the files of the object by name."""
 
 
-def _made(mesh: MeshFile, vertices: Array, unit: str, choice: Choice, threshold: float) -> tuple[Made, bool]:
+def _made(mesh: MeshFile, vertices: Array, unit: str, choice: Choice, threshold: float, scale: float
+          ) -> tuple[Made, bool]:
     """The results for a file, and whether they came from the cache. New results are written there if possible."""
-    cache = user_cache_root() / "objects" / _key(mesh, unit, choice, threshold)
+    cache = user_cache_root() / "objects" / _key(mesh, unit, choice, threshold, scale)
     found = _load(cache)
     if found is not None:
         return found, True
@@ -163,7 +165,7 @@ def _make(mesh: MeshFile, vertices: Array, unit: str, choice: Choice, threshold:
     side = 1000 * min(fit.shapes[0].size, default=np.inf)
     thin = [f"only {side:.2g} mm thick"] if fit.kind == "box" and side < _THIN else []
     return {
-        "units": unit, "remarks": [*solid.notes, *thin], "faces": len(faces), "bounds_m": [low, high],
+        "units": unit, "remarks": [*mesh.notes, *solid.notes, *thin], "faces": len(faces), "bounds_m": [low, high],
         "volume_m3": volume,
         "center_m": np.asarray(whole.center_mass).tolist(),
         "inertia_per_density": np.asarray((whole.moment_inertia + whole.moment_inertia.T) / 2).tolist(),
@@ -171,7 +173,7 @@ def _make(mesh: MeshFile, vertices: Array, unit: str, choice: Choice, threshold:
     }, files  # fmt: skip
 
 
-def _describe(name: str, mesh: MeshFile, made: Made, mass: Mass) -> dict[str, Any]:
+def _describe(name: str, mesh: MeshFile, made: Made, mass: Mass, scale: float) -> dict[str, Any]:
     """The content of object.json."""
     figures, files = made
     volume = figures["volume_m3"]
@@ -198,7 +200,7 @@ def _describe(name: str, mesh: MeshFile, made: Made, mass: Mass) -> dict[str, An
     }  # fmt: skip
     return {
         "format": store.FORMAT, "schema": store.SCHEMA, "name": name, "id": store.object_id({"name": name, **body}),
-        "source": {"file": mesh.path.name, "sha256": mesh.sha256, "units": figures["units"]},
+        "source": {"file": mesh.path.name, "sha256": mesh.sha256, "units": figures["units"], "scale": scale},
         "frame": "the file's own, in m", **body,
         "figures": {key: figures[key] for key in _SHOWN},
     }  # fmt: skip

@@ -1,31 +1,36 @@
-"""Read a user's mesh file (OBJ, STL, PLY or GLB) within limits, and give its triangles in metres."""
+"""Read a user's mesh file (OBJ, STL, PLY or GLB) within limits, and give its triangles in metres.
+
+The readers are this project's own: trimesh's misread decimal commas, tabs and negative indices, and leave out what they
+do not know without a message.
+"""
 
 from __future__ import annotations
 
-import contextlib
 import hashlib
-import io
-import json
-import re
-import struct
-import warnings
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 
 from dgrasp.errors import DataError
+from dgrasp.objects.add.glb_file import read_glb
+from dgrasp.objects.add.obj_file import read_obj
+from dgrasp.objects.add.ply_file import read_ply
+from dgrasp.objects.add.stl_file import read_stl
 from dgrasp.types import Array
 
 FORMATS = ("obj", "stl", "ply", "glb")
-MAX_BYTES = 100 * 2**20
-MAX_FACES = 500_000
+MAX_BYTES = 512 * 2**20
+MAX_FACES = 5_000_000
+KEPT_FACES = 500_000
+"""A mesh of more is decimated to this number."""
 SMALLEST, LARGEST = 0.005, 1.0
 """m. Limits of an object's longest side."""
 USUAL = (0.01, 0.5)
 """m. Usual range of the longest side of an object that a hand grasps, from which units are guessed."""
+_NORMALISED = (1.0, 2.0)
+"""Longest sides, in the file's numbers, of meshes that were normalised and have no unit."""
 
 Units = Literal["auto", "m", "cm", "mm"]
 SCALES: dict[str, float] = {"m": 1.0, "cm": 0.01, "mm": 0.001}
@@ -37,43 +42,55 @@ _ANNOUNCED = 20 * MAX_FACES
 class MeshFile:
     """The triangles of a file, unchanged.
 
-    vertices (V, 3), in the file's units; faces (F, 3). sha256: of the file's bytes, hexadecimal.
+    vertices (V, 3), in the file's units; faces (F, 3). sha256: of the file's bytes, hexadecimal. notes: what was done
+    to them, a few words each.
     """
 
     path: Path
     vertices: Array
     faces: Array
     sha256: str
+    notes: tuple[str, ...] = ()
 
-    def scaled(self, units: Units) -> tuple[Array, str]:
-        """Vertices (V, 3) in m, and the units that they were in.
+    def scaled(self, units: Units, scale: float = 1.0) -> tuple[Array, str]:
+        """Vertices (V, 3) in m, and the units that they were in; scale: times the file's numbers.
 
-        "auto" takes the only unit that gives an object of a `USUAL` size. Raises `DataError` if several units do or
-        none does, and if the stated unit gives a size outside `SMALLEST` to `LARGEST`.
+        "auto" takes metres for GLB, else the only unit that gives an object of a `USUAL` size. Raises `DataError` if
+        several units do or none does, if the mesh seems to be normalised, and if the stated unit gives a size outside
+        `SMALLEST` to `LARGEST`.
         """
-        sides = np.ptp(self.vertices[np.unique(self.faces)], axis=0)
-        longest = float(sides.max())
+        vertices = scale * self.vertices
+        longest = float(np.ptp(vertices[np.unique(self.faces)], axis=0).max())
         if longest == 0.0:
             raise DataError(f"{self.path}: all vertices are at the same place; expected a mesh that encloses a volume")
-        choices, (low, high) = ((units,), (SMALLEST, LARGEST)) if units != "auto" else (tuple(SCALES), USUAL)
+        metres = self.path.suffix.lower() == ".glb"
+        if units == "auto" and scale == 1.0 and any(abs(longest / side - 1.0) <= 1e-3 for side in _NORMALISED):
+            raise DataError(f"{self.path}: the longest side is {longest:.4g}, as of a mesh that was normalised and has "
+                            "no unit; state the unit with --units, or the size with --scale (--units m --scale S makes "
+                            f"the longest side {longest:.4g} S m)")
+        choices = (units,) if units != "auto" else ("m",) if metres else tuple(SCALES)
+        low, high = USUAL if units == "auto" and not metres else (SMALLEST, LARGEST)
         fitting = [unit for unit in choices if low <= longest * SCALES[unit] <= high]
         if len(fitting) == 1:
-            return self.vertices * SCALES[fitting[0]], fitting[0]
+            return vertices * SCALES[fitting[0]], fitting[0]
         allowed = f"expected {100 * low:g} cm to {100 * high:g} cm"
-        if units != "auto":
-            raise DataError(f"{self.path}: the longest side is {longest * SCALES[units]:.4g} m in {units}; {allowed}; "
-                            f"state another unit with --units ({', '.join(SCALES)}), or scale the mesh")
+        if len(choices) == 1:
+            unit, why = choices[0], ", the unit of glTF" if units == "auto" else ""
+            raise DataError(f"{self.path}: the longest side is {longest * SCALES[unit]:.4g} m in {unit}{why}; "
+                            f"{allowed}; state another unit with --units ({', '.join(SCALES)}), or scale the mesh with "
+                            "--scale")
         if fitting:
             sizes = " or ".join(f"{longest * SCALES[unit]:.3g} m if in {unit}" for unit in fitting)
             raise DataError(f"{self.path}: the longest side is {longest:.4g}: {sizes}; state which with --units")
         raise DataError(f"{self.path}: the longest side is {longest:.4g}, which in {', '.join(SCALES)} is no "
-                        f"usual object for a hand; {allowed}; state --units, or scale the mesh")
+                        f"usual object for a hand; {allowed}; state --units, or scale the mesh with --scale")
 
 
 def read_mesh_file(path: Path) -> MeshFile:
     """The triangles of an OBJ, STL, PLY or GLB file; from a GLB scene, all meshes at their places in the scene.
 
-    No other file is read: no materials, textures or external buffers. Raises `DataError` for a file that is
+    More than `KEPT_FACES` are decimated to that number, with a note. No other file is read: no materials,
+    textures or external buffers. Raises `DataError` for a file that is
     missing, of another format, too large, damaged, or without faces, and for vertices that are not finite.
     """
     path = Path(path)
@@ -82,12 +99,11 @@ def read_mesh_file(path: Path) -> MeshFile:
         raise DataError(f"{path}: a file of type {suffix or '(none)'!r}; expected one of {', '.join(FORMATS)}")
     raw = _bytes(path)
     try:
-        _check_header(suffix, raw)
         vertices, faces = _parse(suffix, raw)
     except DataError as error:
         raise DataError(f"{path}: {error}") from None
     except Exception as error:
-        # trimesh's parsers fail on a damaged file in many ways; to the user they are all the same.
+        # Readers fail on a damaged file in many ways; to the user they are all the same.
         reason = " ".join(f"{type(error).__name__}: {error}".split())[:200]
         raise DataError(f"{path}: cannot be read as {suffix.upper()} ({reason}); export it again") from None
     if not len(faces):
@@ -100,7 +116,12 @@ def read_mesh_file(path: Path) -> MeshFile:
     if bad:
         raise DataError(f"{path}: {bad} of {len(vertices)} vertices are NaN or infinite; expected finite numbers; "
                         "export it again, or remove them")
-    return MeshFile(path, vertices, faces, hashlib.sha256(raw).hexdigest())
+    notes: tuple[str, ...] = ()
+    if len(faces) > KEPT_FACES:
+        before = len(faces)
+        vertices, faces = _decimated(vertices, faces)
+        notes = (f"decimated from {before} to {len(faces)} faces",)
+    return MeshFile(path, vertices, faces, hashlib.sha256(raw).hexdigest(), notes)
 
 
 def _bytes(path: Path) -> bytes:
@@ -119,73 +140,21 @@ def _bytes(path: Path) -> bytes:
 
 
 def _parse(suffix: str, raw: bytes) -> tuple[Array, Array]:
-    import trimesh  # Imported late: it takes a second.
-
-    with _silence():
-        scene = trimesh.load_scene(io.BytesIO(raw), file_type=suffix, process=False, skip_materials=True)
-        # A scene may show one mesh many times, so count its faces before they are copied as often.
-        geometries = [scene.geometry[scene.graph[node][1]] for node in scene.graph.nodes_geometry]
-        shown = sum(len(getattr(geometry, "faces", ())) for geometry in geometries)
-        if shown > MAX_FACES:
-            raise DataError(f"{shown} faces; at most {MAX_FACES} are allowed; decimate the mesh first")
-        meshes = [mesh for mesh in scene.dump() if isinstance(mesh, trimesh.Trimesh) and len(mesh.faces)]
-    starts = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes)])
-    vertices = [np.asarray(mesh.vertices, dtype=float) for mesh in meshes]
-    faces = [np.asarray(mesh.faces, dtype=np.int64) + start for mesh, start in zip(meshes, starts, strict=False)]
-    return np.concatenate([np.zeros((0, 3)), *vertices]), np.concatenate([np.zeros((0, 3), np.int64), *faces])
+    if suffix == "obj":
+        return read_obj(raw)
+    if suffix == "stl":
+        return read_stl(raw)
+    if suffix == "ply":
+        return read_ply(raw, _ANNOUNCED)
+    return read_glb(raw, MAX_FACES, _ANNOUNCED)
 
 
-@contextlib.contextmanager
-def _silence() -> Iterator[None]:
-    """Suppress the library's messages about a damaged file; the error that follows says what the user needs."""
+def _decimated(vertices: Array, faces: Array) -> tuple[Array, Array]:
+    """The surface with `KEPT_FACES` faces, by quadric decimation of its merged vertices."""
+    import fast_simplification
     import trimesh
 
-    logger = trimesh.util.log
-    before, logger.disabled = logger.disabled, True
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            yield
-    finally:
-        logger.disabled = before
-
-
-def _check_header(suffix: str, raw: bytes) -> None:
-    """Refuse a file that announces more than it holds or than is allowed, before any memory is allocated for it."""
-    if suffix == "stl" and raw.lstrip()[:5].lower() != b"solid":
-        if len(raw) < 84:
-            raise DataError(f"{len(raw)} bytes, less than the header of a binary STL; the file is cut off")
-        count = struct.unpack_from("<I", raw, 80)[0]
-        if len(raw) != 84 + 50 * count:
-            raise DataError(f"its header announces {count} faces, but there are bytes for {(len(raw) - 84) / 50:g}; "
-                            "the file is damaged or cut off")
-    elif suffix == "ply":
-        head = raw.partition(b"end_header")[0]
-        counts = [int(n) for n in re.findall(rb"^element\s+\S+\s+(\d+)\s*$", head, re.MULTILINE)]
-        # The shortest row of any element is one byte in binary files, and a digit and a line end in text files.
-        if sum(counts) > len(raw):
-            raise DataError(f"its header announces {sum(counts)} rows, more than {len(raw)} bytes hold; the file is "
-                            "damaged or cut off")
-        _check_rows(sum(counts))
-    elif suffix == "glb":
-        if raw[:4] != b"glTF" or len(raw) < 20:
-            raise DataError("it does not begin like a GLB file; expected binary glTF 2.0")
-        length, chunk = struct.unpack_from("<II", raw, 8)
-        if length != len(raw) or 20 + chunk > length:
-            raise DataError(f"its header announces {length} bytes, but there are {len(raw)}; the file is damaged or "
-                            "cut off")
-        content = json.loads(raw[20 : 20 + chunk])
-        accessors = content.get("accessors", []) if isinstance(content, dict) else []
-        _check_rows(sum(_count(accessor) for accessor in accessors))
-
-
-def _count(accessor: Any) -> int:
-    count = accessor.get("count") if isinstance(accessor, dict) else None
-    if isinstance(count, bool) or not isinstance(count, int) or count < 0:
-        raise DataError(f"an accessor counts {str(count)[:50]!r}; expected a number of rows; the file is damaged")
-    return count
-
-
-def _check_rows(rows: int) -> None:
-    if rows > _ANNOUNCED:
-        raise DataError(f"its header announces {rows} rows; at most {_ANNOUNCED} are allowed; decimate the mesh first")
+    span = float(np.ptp(vertices[np.unique(faces)], axis=0).max()) or 1.0
+    first, index = trimesh.grouping.unique_rows(np.round(vertices / (1e-7 * span)).astype(np.int64))
+    fewer = fast_simplification.simplify(vertices[first], index[faces], target_count=KEPT_FACES)
+    return np.asarray(fewer[0], dtype=float), np.asarray(fewer[1], dtype=np.int64)
