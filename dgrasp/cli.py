@@ -54,9 +54,9 @@ commands:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command; returns the exit code. Wrong use and bad input give one message on stderr and exit code 2."""
-    if sys.version_info[:2] not in ((3, 10), (3, 11)):
+    if sys.version_info < (3, 10):
         found = ".".join(map(str, sys.version_info[:2]))
-        print(f"dgrasp needs Python 3.10 or 3.11 (PyBullet has no wheels for others); this is {found}", file=sys.stderr)
+        print(f"dgrasp needs Python 3.10 or newer; this is {found}", file=sys.stderr)
         return EXIT_BAD_INPUT
     words = list(sys.argv[1:] if arguments is None else arguments)
     if not words or words[0] in ("-h", "--help"):

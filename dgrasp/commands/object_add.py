@@ -40,7 +40,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--units", choices=("auto", *SCALES), default="auto",
                         help="the file's unit of length (default: the only unit that gives an object of 1 to 50 cm)")
     parser.add_argument("--scale", type=float, default=1.0, metavar="S",
-                        help="factor for the file's numbers, before the unit (default: 1); for a mesh that was normalised")
+                        help="factor for the file's numbers, before the unit (default: 1); for a normalised mesh")
     weight = parser.add_mutually_exclusive_group()
     weight.add_argument("--mass", type=float, metavar="KG", help="the object's mass")
     weight.add_argument("--density", type=float, metavar="KG/M3", default=DENSITY,
