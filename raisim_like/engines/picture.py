@@ -13,7 +13,7 @@ from raisim_like.urdf import UrdfModel
 
 
 class Picture:
-    """Draws the bodies of another engine's world, under their ids there; they are placed but never simulated."""
+    """Draws the bodies of another engine's world, by their ids there. They are placed but never simulated."""
 
     def __init__(
         self,
