@@ -47,7 +47,6 @@ def test_made_labels_touch_the_object_with_the_thumb_and_another_finger(made: Pa
         assert label.goal_contacts[6] and label.goal_contacts[1:6].any()
 
 
-@pytest.mark.parametrize("engine", ["pybullet", "mujoco"])
 def test_the_whole_line(made: Path, tmp_path: Path, engine: str, capsys: pytest.CaptureFixture[str]) -> None:
     data = ["--data", "free", f"hand={made / 'three.urdf'}", f"engine={engine}"]
     run, records = tmp_path / "run", tmp_path / "records"

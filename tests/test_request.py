@@ -19,6 +19,7 @@ from dgrasp.request import PRETRAINED, Asked, Request, config_of, make_request
 from dgrasp.rl.networks import ActorCritic
 from dgrasp.rl.run.checkpoint import Checkpoint, save
 from dgrasp.tables.fill import _command
+from raisim_like.engines import default_engine
 from tests.imports import modules, within
 
 SHORT = ["data=free", "labels.objects=[004_sugar_box]", "labels.limit_per_object=1"]
@@ -66,7 +67,7 @@ def test_a_policy_brings_its_own_config_and_a_run_has_one(tmp_path: Path) -> Non
     assert isinstance(by_file.method, PolicyMethod) and by_file.method.name == "policy"
     assert (by_file.config.seed, by_file.config.engine, by_file.config.physics.preset) == (3, "mujoco", "faithful")
     by_run = make_request(Asked(run=tmp_path / "run", overrides=SHORT))
-    assert by_run.config.seed == 9 and by_run.config.engine == "pybullet"
+    assert by_run.config.seed == 9 and by_run.config.engine == default_engine()
     with pytest.raises(ConfigError, match=r"was trained with env\.goal_space=True"):
         make_request(Asked(policy=file, overrides=["env.goal_space=false"]))
     held = make_request(Asked("static_grasp", policy=file))
@@ -77,7 +78,7 @@ def test_the_policy_that_ships_is_a_run_of_a_name(tmp_path: Path, monkeypatch: p
     monkeypatch.chdir(tmp_path)
     request = make_request(Asked(run=Path(PRETRAINED), overrides=SHORT))
     # The engine is not the one that it was trained on but this program's.
-    assert request.config.engine == "pybullet" and request.config.env.scaled_features
+    assert request.config.engine == default_engine() and request.config.env.scaled_features
     # A folder of that name is a run like any other.
     (tmp_path / PRETRAINED).mkdir()
     with pytest.raises(DataError, match="no checkpoint there"):

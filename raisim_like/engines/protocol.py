@@ -1,4 +1,4 @@
-"""The interface of an engine of single worlds to `World`. The engine returns integer ids, which name the bodies."""
+"""The interface between `World` and an engine of single worlds. The engine names bodies by integer ids."""
 
 from __future__ import annotations
 

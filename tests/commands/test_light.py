@@ -61,7 +61,7 @@ def test_the_usage_loads_neither_numpy_nor_pydantic(tmp_path: Path) -> None:
         (["test", "--policy", "none.pt"], "none.pt: no such file"),
         (["test", "--policy", "none.pt", "--cfg", "cfg/fast.yaml", "ppo.epoch=3"], "did you mean 'ppo.epochs'?"),
         (["test", "--table", "grasp", "ppo.epoch=3"], "did you mean 'ppo.epochs'?"),
-        (["test", "--table", "grasp", "--report", "x.html"], "leave --report away"),
+        (["test", "--table", "grasp", "--report", "x.html"], "leave out --report"),
         (["test", "--baseline", "gt_pd", "--labels", "none.npz"], "none.npz"),
         (["demo", "ppo.epoch=3"], "did you mean 'ppo.epochs'?"),
         (["runs", "none"], "none: no such folder"),

@@ -8,7 +8,6 @@ import shutil
 from pathlib import Path
 
 import numpy as np
-import pybullet
 import pytest
 
 from dgrasp.cli import main, run_command
@@ -136,6 +135,7 @@ def test_a_left_file_gives_the_left_hand(left: NamedHand, tmp_path: Path, capsys
 @pytest.mark.parametrize("name", ["right", "left"])
 def test_pybullet_and_mujoco_load_the_file_itself(place: Path, name: str) -> None:
     path = place / name / "hand.urdf"
+    pybullet = pytest.importorskip("pybullet")
     client = pybullet.connect(pybullet.DIRECT)
     try:
         body = pybullet.loadURDF(str(path), useFixedBase=1, flags=pybullet.URDF_USE_INERTIA_FROM_FILE)
@@ -145,7 +145,8 @@ def test_pybullet_and_mujoco_load_the_file_itself(place: Path, name: str) -> Non
         assert sum(map(len, shapes)) == 16 and len(pybullet.getVisualShapeData(body)) == 16
     finally:
         pybullet.disconnect(client)
-    mujoco = pytest.importorskip("mujoco")
+    import mujoco
+
     compiled = mujoco.MjModel.from_xml_path(str(path))
     assert (compiled.nq, compiled.ngeom) == (51, 16)
     names = [mujoco.mj_id2name(compiled, mujoco.mjtObj.mjOBJ_JOINT, j) for j in range(51)]
@@ -157,7 +158,7 @@ def test_pybullet_and_mujoco_load_the_file_itself(place: Path, name: str) -> Non
 def test_the_hand_holds_its_pose_in_the_scene(place: Path, name: str) -> None:
     hand = open_hand(str(place / name)).model
     config = make_config({})
-    scene = OneScene(hand, free_object("004_sugar_box", "ycb", False), config.physics, "pybullet")
+    scene = OneScene(hand, free_object("004_sugar_box", "ycb", False), config.physics, config.engine)
     pose = np.zeros(45)
     pose[2::3] = 0.4 if name == "right" else -0.4
     base, away = np.eye(4), np.eye(4)

@@ -25,6 +25,7 @@ from dgrasp.synthesis.path import DRAWN_BACK, START_CLEARANCE
 from dgrasp.synthesis.synthesiser import MAX_DEPTH, MAX_TURNED
 from dgrasp.types import GraspLabel
 from raisim_like.shapes import Shape
+from tests.engines import needs_pybullet
 from tests.labels.distances import hand_bottom, part_distances, signed_distance
 
 FILES = {name: package_file(f"data/free/labels/free_{name}.npz") for name in ("train", "test")}
@@ -179,6 +180,7 @@ def test_hand_object_and_table(name: str, shipped: list[GraspLabel], hand: HandM
     assert (T_WH[:, 2, :3] @ knuckles).max() < MAX_TURNED * np.linalg.norm(knuckles)
 
 
+@needs_pybullet
 def test_a_hand_that_does_nothing_is_guided_to_the_grasp(hand: HandModel, shipped: list[GraspLabel]) -> None:
     """So that training can begin: closing the fingers is all that is left to learn."""
     names = ("004_sugar_box", "021_bleach_cleanser", "037_scissors")

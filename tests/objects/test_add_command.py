@@ -62,7 +62,12 @@ def test_from_a_mesh_to_a_result(tmp_path: Path, capsys: pytest.CaptureFixture[s
 
 @pytest.mark.parametrize(
     ("overrides", "parts"),
-    [([], False), (["physics.concave=parts"], True), (["physics.concave=mesh"], False), (["engine=mujoco"], True)],
+    [
+        (["engine=pybullet"], False),
+        (["engine=pybullet", "physics.concave=parts"], True),
+        (["engine=pybullet", "physics.concave=mesh"], False),
+        (["engine=mujoco"], True),
+    ],
 )
 def test_who_gets_parts_instead_of_triangles(
     monkeypatch: pytest.MonkeyPatch, overrides: list[str], parts: bool

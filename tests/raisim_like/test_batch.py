@@ -264,9 +264,9 @@ def test_an_unknown_engine_is_refused_with_the_valid_names() -> None:
 
 
 def test_an_engine_that_is_not_installed_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "mujoco", None)
-    with pytest.raises(EngineError, match=r"needs the package mujoco.*pip install"):
-        find_engine("mujoco")
+    monkeypatch.setitem(sys.modules, "pybullet", None)
+    with pytest.raises(EngineError, match=r"needs the package pybullet.*pip install"):
+        find_engine("pybullet")
 
 
 def test_a_new_engine_is_one_line_of_the_registry(
@@ -276,7 +276,7 @@ def test_a_new_engine_is_one_line_of_the_registry(
 
     def maker(specs: Sequence[WorldSpec], state: BatchState) -> WorldBatch:
         asked.append(len(specs))
-        return find_engine("pybullet")(specs, state)
+        return find_engine("mujoco")(specs, state)
 
     monkeypatch.setitem(BATCHES, "new", lambda: partial(maker))  # type: ignore[arg-type]
     batch = make("new", arms, (1, 2))

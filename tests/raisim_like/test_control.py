@@ -11,10 +11,8 @@ import pytest
 from dgrasp.hand.free.hand import URDF_PATH
 from dgrasp.types import Array
 from raisim_like import ArticulatedSystem, Shape, World, read_urdf
-from raisim_like.engines.bullet import mass as bullet_mass
-from raisim_like.engines.bullet import pd as bullet_pd
-from raisim_like.engines.bullet.urdf import simulated_inertias
 from raisim_like.engines.floors import LIGHT_INERTIA
+from tests.engines import needs_pybullet
 from tests.raisim_like.urdfs import mass_matrix, write_chain
 
 DT, G = 0.00222, 9.81
@@ -78,6 +76,7 @@ def test_one_joint_is_the_implicit_law_exactly(world: World, tmp_path: Path) -> 
         assert system.generalized_velocity == pytest.approx(v, abs=1e-9)
 
 
+@needs_pybullet
 def test_blocks_of_the_fast_preset_end_with_the_implicit_law_s_velocity(tmp_path: Path) -> None:
     """v at the end of a block is what the law gives for the block's start, and v changes linearly up to there."""
     world = World("pybullet", DT, "fast")
@@ -105,6 +104,7 @@ def test_blocks_of_the_fast_preset_end_with_the_implicit_law_s_velocity(tmp_path
     world.close()
 
 
+@needs_pybullet
 def test_the_fast_preset_reports_the_impulse_of_a_substep_too() -> None:
     world = World("pybullet", DT, "fast")
     ground, box = world.add_ground(), world.add_box(0.1, 0.1, 0.1, 2.0)
@@ -115,7 +115,10 @@ def test_the_fast_preset_reports_the_impulse_of_a_substep_too() -> None:
     world.close()
 
 
+@needs_pybullet
 def test_blocks_add_up_and_divide_without_remainder() -> None:
+    from raisim_like.engines.bullet import pd as bullet_pd
+
     for timestep in (0.00222, 0.001, 0.005, 1 / 240, 0.0033):
         for substeps in (1, 6, 13, 300):
             lengths = bullet_pd.blocks(substeps, timestep, 4)
@@ -123,8 +126,11 @@ def test_blocks_add_up_and_divide_without_remainder() -> None:
             assert all(m * timestep / m == timestep and int(m * timestep / timestep) == m for m in set(lengths))
 
 
+@needs_pybullet
 @pytest.mark.parametrize("branches", [None, (6, 9)])
 def test_the_inverse_of_a_tree_s_mass_matrix(hand_model: object, branches: tuple[int, int] | None) -> None:
+    from raisim_like.engines.bullet import mass as bullet_mass
+
     assert bullet_mass.axes_of(hand_model).branches == (6, 9)  # type: ignore[arg-type]
     rng = np.random.default_rng(0)
     M = np.zeros((3, 51, 51))
@@ -188,6 +194,7 @@ def test_a_free_hand_moves_by_the_implicit_law(world: World, hand_model: object)
     assert np.abs(target - q)[6:].max() > 0.15
 
 
+@needs_pybullet
 def test_a_free_hand_is_a_substep_or_so_late_with_the_fast_preset(hand_model: object) -> None:
     world = World("pybullet", DT, "fast")
     world.set_gravity((0, 0, 0))
@@ -300,6 +307,9 @@ def test_a_new_state_forgets_the_load(world: World, tmp_path: Path) -> None:
 @pytest.mark.parametrize("engine", ["pybullet"], indirect=True)
 def test_inflated_minus_light_is_the_added_inertia(world: World, hand_model: object) -> None:
     """Mb - Mr from joint axes, against mass matrices from the links' Jacobians, and Bullet's own."""
+    from raisim_like.engines.bullet import pd as bullet_pd
+    from raisim_like.engines.bullet.urdf import simulated_inertias
+
     system = add(world, hand_model)
     rng = np.random.default_rng(8)
     q = np.array([bent(hand_model, rng, 0.9) for _ in range(3)])

@@ -10,6 +10,7 @@ import pytest
 from raisim_like import EngineError, World
 from raisim_like.engines.bullet.friction import factors
 from raisim_like.material import MaterialTable
+from tests.engines import needs_pybullet
 
 G = 9.81
 SLIDING = {"pybullet": 1e-4, "mujoco": 5e-3}
@@ -57,8 +58,9 @@ def test_what_a_product_cannot_give_is_refused() -> None:
     assert "'a'" in str(error.value) and "products of one coefficient per material" in str(error.value)
 
 
+@needs_pybullet
 def test_the_world_refuses_it_when_the_second_body_makes_it_matter() -> None:
-    world = World()
+    world = World("pybullet")
     for first, second, friction in (("a", "a", 0.1), ("b", "b", 0.1), ("a", "b", 0.9)):
         world.set_material_pair(first, second, friction)
     for material in "aab":

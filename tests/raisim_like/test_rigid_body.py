@@ -6,7 +6,6 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
-import pybullet
 import pytest
 from scipy.spatial.transform import Rotation
 
@@ -238,6 +237,7 @@ def test_a_compound_of_many_parts_is_one_solid_body(world: World) -> None:
 
 
 def test_bullet_s_solver_works_longer_while_a_light_body_is_in_the_world() -> None:
+    pybullet = pytest.importorskip("pybullet")
     world = World("pybullet", DT)
 
     def iterations() -> int:

@@ -21,6 +21,7 @@ from dgrasp.tables.fill import Cells, Found, fill
 from dgrasp.tables.plan import NAMES, Line, Plan, plans
 from dgrasp.tables.show import cells_of, header_of, remarks
 from dgrasp.tables.trainings import Trainings, needed
+from raisim_like.engines import default_engine
 from tests.commands.folder import make_folder
 
 SHORT = ["env.episode_steps=6", "env.grasp_steps=3", "physics.substeps=1", "ppo.minibatches=1", "ppo.update_epochs=1",
@@ -139,7 +140,7 @@ def test_a_budget_trains_what_is_missing_and_an_interruption_goes_on(
     assert "no_contact_reward_004_sugar_box: 1 epochs" in note and "env.episode_steps=6" in note
     # The keys that define a row are not reported as differences.
     assert "env.reward" not in note and "labels" not in note
-    assert checkpoint.saved(tmp_path / "dexycb_pybullet_seed1" / "object_004_sugar_box")
+    assert checkpoint.saved(tmp_path / f"dexycb_{default_engine()}_seed1" / "object_004_sugar_box")
 
 
 def test_seeds_are_trained_apart_and_averaged(
@@ -154,7 +155,8 @@ def test_seeds_are_trained_apart_and_averaged(
         assert list(row["seeds"]) == ["3", "5"]
         for metric, value in row["values"].items():
             assert value == pytest.approx(sum(row["seeds"][seed][metric] for seed in ("3", "5")) / 2)
-    weights = [checkpoint.latest(tmp_path / f"dexycb_pybullet_seed{k}" / "object_004_sugar_box") for k in (3, 5)]
+    folders = [tmp_path / f"dexycb_{default_engine()}_seed{k}" / "object_004_sugar_box" for k in (3, 5)]
+    weights = [checkpoint.latest(folder) for folder in folders]
     assert weights[0].read_bytes() != weights[1].read_bytes()
     assert "Ours, contact ratio by seed: 3: " in capsys.readouterr().out
     # A method without training is evaluated once for all seeds.
@@ -242,7 +244,7 @@ def test_a_learned_motion_keeps_the_grasps_that_it_was_built_on(
     assert (row["n"], row["missing"]) == (2, [])
     note, _ = row["notes"]
     assert "env.episode_steps=6" in note and "env.task" not in note and "labels" not in note
-    trained = tmp_path / "dexycb_pybullet_seed1"
+    trained = tmp_path / f"dexycb_{default_engine()}_seed1"
     first, own = checkpoint.latest(trained / "all_objects"), trained / "learned_motion" / "grasp.pt"
     assert own.read_bytes() == first.read_bytes()
     assert f"motion.policy={json.dumps(str(own))}" in row["commands"][0]

@@ -190,7 +190,7 @@ def _describe(name: str, mesh: MeshFile, made: Made, mass: Mass, scale: float) -
                         "the right units") from None
     low, high = np.array(figures["bounds_m"])
     if ((center < low) | (center > high)).any():
-        raise DataError(f"{mesh.path}: the centre of mass {center.tolist()} lies outside of the object, which reaches "
+        raise DataError(f"{mesh.path}: the centre of mass {center.tolist()} lies outside the object, which reaches "
                         f"from {low.round(4).tolist()} to {high.round(4).tolist()} m; state --center in m, in the "
                         "mesh's frame")
     body = {

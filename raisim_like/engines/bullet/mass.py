@@ -1,4 +1,4 @@
-"""Mass matrices for the implicit PD (docs/physics.md): the inertia that simulation adds to a hand, and inverses."""
+"""Mass matrices for the implicit PD (docs/physics.md): the inertia that the engine adds to a hand, and inverses."""
 
 from __future__ import annotations
 

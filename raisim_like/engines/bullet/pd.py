@@ -36,7 +36,7 @@ OBSERVER_GAIN = 0.15
 HOLD: dict[Preset, int] = {"faithful": 1, "fast": 2}
 """Most engine steps per torque (docs/physics.md)."""
 REFRESH_MOTION = 0.1
-"""Motion (rad or m) of a joint after which the mass matrices are recomputed; D' outweighs them by far."""
+"""Motion of a joint (rad or m) after which the mass matrices are recomputed; D' outweighs them by far."""
 
 
 class ImplicitPd:

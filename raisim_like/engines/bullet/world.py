@@ -30,7 +30,7 @@ from raisim_like.urdf import UrdfModel
 SOLVER_ITERATIONS = 100
 """With fewer, light objects between ten stiff contacts sink into the fingers."""
 LIGHT, LIGHT_ITERATIONS = 0.05, 500
-"""A mass in kg, and the iterations of the solver in a world with a lighter moving body. Under the implicit law, an
+"""A mass in kg, and the solver's iterations in a world that has a lighter moving body. Under the implicit law, an
 object feels a finger as half a kilogram, and the solver converges more slowly the more two masses differ."""
 RESIDUAL: dict[Preset, float] = {"faithful": 0.0, "fast": 1e-7}
 """Change per iteration at which the solver stops. 1e-7 holds the same grasps as 0 but lets blocks creep on slopes."""

@@ -83,7 +83,7 @@ class Slot:
 
 
 class BuiltModel:
-    """A compiled model with its data, and the places of the bodies in it.
+    """A compiled model with its data, and where each body is in them.
 
     owner, link: (ngeom,) body id and moving-link index (-1 for none) of each geom.
     """

@@ -26,7 +26,7 @@ from raisim_like.urdf import UrdfModel
 
 def _report(message: str) -> None:
     """Print a warning of MuJoCo, which would otherwise go to a file in the working directory."""
-    # The state of a broken world shows it: it stays NaN.
+    # A broken world is visible in its state, which stays NaN.
     if "unstable" not in message:
         print(f"MuJoCo: {message}", file=sys.stderr)
 
