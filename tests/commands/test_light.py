@@ -78,4 +78,4 @@ def test_a_refusal_does_not_load_torch(words: list[str], said: str, tmp_path: Pa
 
 def test_the_names_that_help_shows_are_those_of_the_code() -> None:
     assert set(names.BASELINES) == METHODS.keys() - {"policy"} and list(names.BASELINES) == sorted(names.BASELINES)
-    assert names.TABLES == tuple(_PLANS)
+    assert tuple(_PLANS) == names.TABLES

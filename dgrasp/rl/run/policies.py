@@ -8,8 +8,8 @@ from typing import Any
 
 from dgrasp.rl.networks import Policy
 from dgrasp.rl.run.checkpoint import load, policy_of, read_torch_file
-from dgrasp.rl.run.published import is_published, load_published_actor
 from dgrasp.rl.run.folder import WEIGHTS_SUFFIX
+from dgrasp.rl.run.published import is_published, load_published_actor
 from dgrasp.rl.run.weights import read_weights
 
 
