@@ -75,3 +75,23 @@ def test_a_single_name_stands_for_a_list_of_one(capsys: pytest.CaptureFixture[st
         load_config(None, ["labels.objects=4"])
     assert run_command("test", ["--baseline", "gt_pd", "labels.objects=999_none"]) == 2
     assert "999_none" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("words", "labels", "epochs", "steps"),
+    [
+        # 195 control steps in each of 10,000 epochs, of each of the 376 labels.
+        ([], "376", "10,000", "733,200,000"),
+        (["labels.limit_per_object=1", "ppo.epochs=3", "env.episode_steps=100"], "20", "3", "6,000"),
+    ],
+)
+def test_a_training_needs_a_config(
+    words: list[str], labels: str, epochs: str, steps: str, tmp_path, monkeypatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert run_command("train", ["--data", "free", "pool.workers=2", *words]) == 2
+    message = capsys.readouterr().err
+    assert f"on {labels} labels: {epochs} epochs, {steps} control steps" in message
+    assert "on 2 cores" in message and "--cfg cfg/fast.yaml" in message and list(tmp_path.iterdir()) == []
+    # 733.2 million at 2 x 250 a second are 17 days.
+    assert ("about 17 days" if not words else "under 2 hours") in message
