@@ -267,5 +267,5 @@ def test_report(place: Path, right: NamedHand, capsys: pytest.CaptureFixture[str
     assert main(["hand", "report", "nowhere"]) == 2
     assert 'expected "free"' in capsys.readouterr().err
     assert main(["hand", "rebuild"]) == 2
-    assert "hand build, hand report" in capsys.readouterr().err
+    assert "did you mean 'hand build'?" in capsys.readouterr().err
     assert main(["hand", "--help"]) == 0
