@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import argparse
+import difflib
 import sys
 from collections.abc import Sequence
 from importlib import import_module
+from typing import NoReturn
 
 from dgrasp import __version__
 from dgrasp.errors import DGraspError
@@ -30,7 +32,17 @@ COMMANDS = {
     "labels check": "dgrasp.commands.labels_check",
 }
 """Command -> its module, which defines `HELP`, `add_arguments` and `main`."""
-
+_SHORT = {
+    "hand build": "make a physics hand from a MANO file or the free skin",
+    "hand report": "print the figures of a hand, or of two side by side",
+    "object add": "make objects for the physics from mesh files",
+    "labels import dexycb": "make labels from DexYCB's recordings",
+    "labels import ho3d": "make labels from HO3D's annotations",
+    "labels import mano": "make labels from a table of MANO parameters",
+    "labels make": "synthesise grasps for a hand and objects",
+    "labels check": "measure the labels of a file and say what is wrong with them",
+}
+"""What the commands of several words do, for `dgrasp hand --help` and the like."""
 
 _USAGE = """\
 usage: dgrasp COMMAND ...      (dgrasp COMMAND --help explains a command)
@@ -68,14 +80,38 @@ def main(arguments: Sequence[str] | None = None) -> int:
     # "hand build" is one command of two words; `dgrasp hand` alone is an error that lists the commands of `hand`.
     name = next((name for name in COMMANDS if words[: name.count(" ") + 1] == name.split()), None)
     if name is None:
-        inner = [command for command in COMMANDS if command.split()[0] == words[0]]
-        if inner and words[1:2] in (["-h"], ["--help"]):
-            print(f"usage: dgrasp {words[0]} COMMAND ...\n\ncommands: {', '.join(inner)}")
+        first = next((words[:n] for n in (2, 1) if any(c.split()[:n] == words[:n] for c in COMMANDS)), [])
+        inner = [command for command in COMMANDS if first and command.split()[: len(first)] == first]
+        if inner and words[len(first) : len(first) + 1] in (["-h"], ["--help"]):
+            print(f"usage: dgrasp {' '.join(first)} COMMAND ...      (--help after a command teaches it)\n\ncommands:")
+            print("\n".join(f"  {command:<{max(map(len, inner))}}  {_SHORT[command]}" for command in inner))
             return 0
-        given = " ".join(words[:2]) if inner else words[0]
-        print(f"error: unknown command {given!r}; expected one of {', '.join(inner or COMMANDS)}", file=sys.stderr)
+        print(f"error: {_unknown(words, len(first), inner)}", file=sys.stderr)
         return EXIT_BAD_INPUT
     return run_command(name, words[name.count(" ") + 1 :], prog=f"dgrasp {name}")
+
+
+def _unknown(words: Sequence[str], known: int, inner: Sequence[str]) -> str:
+    """What is wrong with words that name no command. inner: the commands that begin with the first `known` of them."""
+    if known and len(words) == known:
+        return f"{' '.join(words)}: expected one of the commands {', '.join(inner)}"
+    offered = list(inner or COMMANDS)
+    given = [" ".join(words[:n]) for n in (3, 2, 1) if n <= len(words)]
+    close = [found for text in given for found in difflib.get_close_matches(text, offered, 1)]
+    if not close:
+        # A single word of a longer command, such as `dgrasp lables`.
+        whole = {word: name for name in reversed(offered) for word in name.split()}
+        near = [difflib.get_close_matches(word, [*whole], 1) for word in words[known : known + 1]]
+        close = [whole[found] for matches in near for found in matches]
+    hint = f"did you mean {close[0]!r}?" if close else f"expected one of {', '.join(offered)}"
+    return f"unknown command {' '.join(words[: known + 1])!r}; {hint}"
+
+
+class _Parser(argparse.ArgumentParser):
+    """Says what is wrong with the options in one line, in place of the whole usage."""
+
+    def error(self, message: str) -> NoReturn:
+        self.exit(EXIT_BAD_INPUT, f"error: {message}; {self.prog} --help lists the options\n")
 
 
 def run_command(name: str, arguments: Sequence[str], prog: str | None = None) -> int:
@@ -83,7 +119,7 @@ def run_command(name: str, arguments: Sequence[str], prog: str | None = None) ->
     try:
         try:
             module = import_module(COMMANDS[name])
-            parser = argparse.ArgumentParser(
+            parser = _Parser(
                 prog=prog, description=module.HELP, formatter_class=argparse.RawDescriptionHelpFormatter
             )
             module.add_arguments(parser)

@@ -34,9 +34,10 @@ ACTION_BOUND = 100.0
 
 def _config(cfg: Config | str | Path | None, overrides: list[str] | None, kind: str) -> Config:
     if isinstance(cfg, Config):
-        config = make_config(apply_overrides(cfg.model_dump(), overrides or []))
+        given = overrides or []
+        config = make_config(apply_overrides(cfg.model_dump(), given), overrides=given, typed="overrides")
     else:
-        config = load_config(None if cfg is None else find_config(Path(cfg)), overrides)
+        config = load_config(None if cfg is None else find_config(Path(cfg)), overrides, "overrides")
     # Every sub-environment takes part in every episode, and all episodes have the same length.
     labels = config.labels.model_copy(update={"per_epoch": None, "doubles_every": None})
     values = config.model_copy(update={"labels": labels}).model_dump()

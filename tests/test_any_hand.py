@@ -50,7 +50,9 @@ def test_made_labels_touch_the_object_with_the_thumb_and_another_finger(made: Pa
 def test_the_whole_line(made: Path, tmp_path: Path, engine: str, capsys: pytest.CaptureFixture[str]) -> None:
     data = ["--data", "free", f"hand={made / 'three.urdf'}", f"engine={engine}"]
     run, records = tmp_path / "run", tmp_path / "records"
-    assert main(["train", "--run", str(run), *data, f"labels.source={made / 'three.npz'}", *SHORT]) == 0
+    training = ["train", "--cfg", "cfg/dexycb.yaml", "--run", str(run), *data, *SHORT]
+    training.append(f"labels.source={made / 'three.npz'}")
+    assert main(training) == 0
     trained = checkpoint.load(checkpoint.latest(run))
     # 12 coordinates, 3 + 3 wrist rates, 6 finger rates, 30 of key points, 9 angles, 9 of the object, 3 x 7 contacts, 9.
     assert trained.epoch == 2 and trained.architecture["observation_size"] == 12 + 6 + 6 + 30 + 9 + 9 + 21 + 9

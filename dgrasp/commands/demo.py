@@ -133,7 +133,7 @@ def _carry(saved: SavedPolicy, run_dir: Path, words: list[str]) -> None:
 
 
 def _config_of(saved: SavedPolicy | None, words: list[str]) -> Config:
-    return make_config(apply_overrides(saved.config if saved is not None else {}, words), str(PRETRAINED_FILE))
+    return make_config(apply_overrides(saved.config if saved is not None else {}, words), str(PRETRAINED_FILE), words)
 
 
 def _print(results: dict[str, Result]) -> None:

@@ -45,7 +45,7 @@ def main(arguments: argparse.Namespace) -> int:
     named = arguments.source or os.environ.get("DEX_YCB_DIR")
     if not named:
         raise DataError("no folder given and DEX_YCB_DIR is not set; expected DexYCB's folder")
-    root = Path(named).expanduser()
+    root = Path(os.path.expanduser(named))
     for option, value in (("--displacement", arguments.displacement), ("--start-distance", arguments.start_distance)):
         if not (math.isfinite(value) and 0.0 < value <= 1.0):
             raise DataError(f"{option} {value:g}: expected metres, above 0 and at most 1")

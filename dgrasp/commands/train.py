@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from dgrasp.config.experiment import find_config, load_config
+from dgrasp.config.experiment import Config, find_config, load_config
 from dgrasp.config.values import override
 from dgrasp.errors import ConfigError
 
@@ -25,6 +25,10 @@ examples:
 """
 
 
+_STEPS_PER_CORE = {"pybullet": 250, "mujoco": 1000}
+"""Control steps per second and core, within a factor of three (docs/speed.md)."""
+
+
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `train`."""
     parser.add_argument("--cfg", type=Path, metavar="FILE", help="config file, such as cfg/dexycb.yaml")
@@ -41,6 +45,8 @@ def main(arguments: argparse.Namespace) -> int:
         overrides.append(override("data", arguments.data))
     if arguments.resume is None:
         config = load_config(find_config(arguments.cfg), overrides)
+        if arguments.cfg is None:
+            raise _no_config(config)
         # Imported late, here and in other commands, so that `--help` and refusals answer at once.
         from dgrasp.training import begin
 
@@ -52,3 +58,22 @@ def main(arguments: argparse.Namespace) -> int:
 
     resume(arguments.resume, overrides)
     return 0
+
+
+def _no_config(config: Config) -> ConfigError:
+    """The error for a command line without --cfg. config: the defaults, which are the paper's, with what was typed."""
+    from dgrasp.data import resolve
+    from dgrasp.pool import cores
+
+    labels = len(resolve(config).labels.labels)
+    epochs = config.last_epoch(labels)
+    steps = sum(config.steps_in(epoch, labels) for epoch in range(1, epochs + 1))
+    workers = 1 if config.pool.kind == "serial" else config.pool.workers or cores()
+    hours = steps / (_STEPS_PER_CORE[config.engine] * workers) / 3600.0
+    if config.ppo.max_minutes is not None:
+        hours = min(hours, config.ppo.max_minutes / 60.0)
+    took = f"{hours / 24.0:,.0f} days" if hours >= 48.0 else f"{hours:,.0f} hours" if hours >= 2.0 else "under 2 hours"
+    return ConfigError(f"no --cfg. Without one this would start the paper's recipe on {labels} labels: {epochs:,} "
+                       f"epochs, {steps:,} control steps, about {took} on {workers} cores. Expected "
+                       "--cfg cfg/fast.yaml (our recipe, hours), --cfg cfg/dexycb.yaml (the paper's), another file, or "
+                       "--resume DIR")

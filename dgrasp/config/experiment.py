@@ -6,6 +6,7 @@ Its sections are in `dgrasp.config.sections`; `cfg/` holds named experiments.
 from __future__ import annotations
 
 import difflib
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -146,20 +147,35 @@ def _nearest(path: str) -> str:
     return f"; did you mean {close[0]!r}?" if close else ""
 
 
-def make_config(values: dict[str, Any], where: str = "config") -> Config:
-    """The validated config; a `ConfigError` lists every problem at once, each with its path."""
+def make_config(
+    values: dict[str, Any], where: str = "config", overrides: Sequence[str] = (), typed: str = "command line"
+) -> Config:
+    """The validated config; a `ConfigError` lists every problem at once, each with its path.
+
+    where: what the values are from. overrides, typed: those `key=value` that lie over them already, and where they are
+    from; what is wrong with their keys is said of `typed`.
+    """
     try:
         return Config.model_validate(values)
     except ValidationError as error:
-        lines = []
+        places: dict[str, list[str]] = {}
+        keys = [item.partition("=")[0] for item in overrides]
         for issue in error.errors():
             path = ".".join(str(part) for part in issue["loc"])
             if issue["type"] == "extra_forbidden":
-                lines.append(f"{path}: unknown key{_nearest(path)}")
+                line = f"{path}: unknown key{_nearest(path)}"
             else:
                 got = "" if isinstance(issue.get("input"), (dict, Config)) else f" (got {issue.get('input')!r})"
-                lines.append(f"{path + ': ' if path else ''}{issue['msg']}{got}")
-        raise ConfigError(f"{where}:\n  " + "\n  ".join(lines)) from None
+                line = f"{path + ': ' if path else ''}{issue['msg']}{got}"
+            # What concerns several keys together has no path, and names them.
+            by_hand = any(_is_at(key, path) if path else key in line for key in keys)
+            places.setdefault(typed if by_hand else where, []).append(line)
+        raise ConfigError("\n".join(f"{place}:\n  " + "\n  ".join(lines) for place, lines in places.items())) from None
+
+
+def _is_at(key: str, path: str) -> bool:
+    """Whether a key is at a path, above it or below it."""
+    return f"{key}.".startswith(f"{path}.") or f"{path}.".startswith(f"{key}.")
 
 
 def read_values(path: Path) -> dict[str, Any]:
@@ -175,10 +191,14 @@ def read_values(path: Path) -> dict[str, Any]:
     return values
 
 
-def load_config(path: Path | None, overrides: list[str] | None = None) -> Config:
-    """The config of a YAML file (or the defaults) with overrides such as `["ppo.epochs=6", "seed=3"]`."""
+def load_config(path: Path | None, overrides: list[str] | None = None, typed: str = "command line") -> Config:
+    """The config of a YAML file (or the defaults) with overrides such as `["ppo.epochs=6", "seed=3"]`.
+
+    typed: where the overrides are from, for errors.
+    """
     values = {} if path is None else read_values(path)
-    return make_config(apply_overrides(values, overrides or []), where=str(path) if path else "config")
+    given = overrides or []
+    return make_config(apply_overrides(values, given), str(path) if path else "config", given, typed)
 
 
 def dump_config(config: Config) -> str:

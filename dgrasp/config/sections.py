@@ -49,6 +49,8 @@ class LabelsConfig(Section):
     @field_validator("objects", mode="before")
     @classmethod
     def _names(cls, value: Any) -> Any:
+        if isinstance(value, str):
+            return [value]
         # Names are text; a number such as 4 is not a name.
         if isinstance(value, list) and any(isinstance(name, (int, float)) for name in value):
             raise ValueError("expected names such as 004_sugar_box, or numbers in quotes: ['004']")

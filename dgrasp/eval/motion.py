@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -75,7 +76,7 @@ def choose_targets(config: Config, choice: DataChoice) -> TargetSet:
         return OWN_SETS[name](config.seed)
     if name in PATHS:
         return PATHS[name](period)
-    path = Path(str(name)).expanduser()
+    path = Path(os.path.expanduser(str(name)))
     if not path.is_file():
         known = ", ".join(("easy", *OWN_SETS, *PATHS))
         raise DataError(f"motion.targets: {str(name)!r} is neither {known} nor a file")

@@ -5,8 +5,12 @@ In a checkout, `cfg/` and `data/` are next to the package; in a wheel, they are 
 
 from __future__ import annotations
 
+import atexit
 import os
+import shutil
 import sys
+import tempfile
+from functools import cache
 from pathlib import Path
 
 from dgrasp.errors import DataError
@@ -42,9 +46,26 @@ def user_data_root() -> Path:
 
 
 def user_cache_root() -> Path:
-    """The folder for files that can be made again: DGRASP_CACHE, else the platform's folder for caches."""
+    """The folder for files that can be made again: DGRASP_CACHE, else the platform's folder for caches.
+
+    A user without a home directory gets a temporary folder that is removed when the process ends.
+    """
     if os.environ.get("DGRASP_CACHE"):
-        return Path(os.environ["DGRASP_CACHE"]).expanduser().absolute()
+        return Path(os.path.expanduser(os.environ["DGRASP_CACHE"])).absolute()
+    try:
+        return _platform_cache()
+    except RuntimeError:  # neither HOME nor an entry in the user database
+        return _temporary_cache()
+
+
+@cache
+def _temporary_cache() -> Path:
+    folder = Path(tempfile.mkdtemp(prefix="dgrasp-cache-"))
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    return folder
+
+
+def _platform_cache() -> Path:
     if sys.platform == "win32":
         return Path(os.environ.get("LOCALAPPDATA") or Path.home() / "AppData" / "Local") / "dgrasp" / "Cache"
     if sys.platform == "darwin":

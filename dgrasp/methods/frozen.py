@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -56,7 +57,7 @@ def grasping_policy(config: Config, hand: HandLayout | None = None) -> Policy:
                           "motion.policy=runs/dexycb_1/best.pt or one of the authors'")
     from dgrasp.rl.run.policies import read_policy
 
-    path = Path(config.motion.policy).expanduser()
+    path = Path(os.path.expanduser(config.motion.policy))
     saved = read_policy(path)
     if saved.task != "grasp":
         raise ConfigError(f"motion.policy: {path} is a policy of task {saved.task}; expected one of task grasp")

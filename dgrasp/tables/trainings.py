@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import os
 import shlex
 import time
 from collections.abc import Callable, Sequence
@@ -121,7 +122,7 @@ class Trainings:
         if run.policy is None or not saved(folder):
             return []
         copies = sorted(folder.glob(f"{_GRASP}.*"))
-        named = Path(str(read_run(folder).config.motion.policy)).expanduser()
+        named = Path(os.path.expanduser(str(read_run(folder).config.motion.policy)))
         if not copies and not named.is_file():
             return []
         return [_motion_policy(copies[0] if copies else _copy(named, folder))]

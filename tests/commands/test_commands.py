@@ -29,6 +29,8 @@ SHORT = [
     "pool.kind=serial", "ppo.hidden=[8]", "labels.doubles_every=3", "env.lengthens_by=1",
 ]  # fmt: skip
 
+PAPER = ["--cfg", "cfg/dexycb.yaml"]
+
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
@@ -38,7 +40,7 @@ def folder(tmp_path_factory):
 @pytest.fixture(scope="module")
 def trained(folder, tmp_path_factory):
     run = tmp_path_factory.mktemp("runs") / "straight"
-    assert run_command("train", ["--data", str(folder), "--run", str(run), "ppo.epochs=4", *SHORT]) == 0
+    assert run_command("train", [*PAPER, "--data", str(folder), "--run", str(run), "ppo.epochs=4", *SHORT]) == 0
     return run
 
 
@@ -55,7 +57,7 @@ def test_a_run_directory_holds_what_scripts_rely_on(trained, folder):
 
 def test_resume_gives_the_bits_of_the_uninterrupted_run(trained, folder, tmp_path):
     run = tmp_path / "resumed"
-    assert run_command("train", ["--data", str(folder), "--run", str(run), "ppo.epochs=2", *SHORT]) == 0
+    assert run_command("train", [*PAPER, "--data", str(folder), "--run", str(run), "ppo.epochs=2", *SHORT]) == 0
     assert run_command("train", ["--resume", str(run), "ppo.epochs=4"]) == 0
     straight, resumed = (checkpoint.load(checkpoint.latest(r)) for r in (trained, run))
     assert straight.epoch == resumed.epoch == 4
@@ -71,7 +73,7 @@ def test_the_update_has_the_threads_that_it_is_given(folder, tmp_path, monkeypat
         return update(*arguments)
 
     monkeypatch.setattr(Ppo, "update", watched)
-    words = ["--data", str(folder), "--run", str(tmp_path / "run"), *SHORT, "ppo.epochs=1", "ppo.threads=2"]
+    words = [*PAPER, "--data", str(folder), "--run", str(tmp_path / "run"), *SHORT, "ppo.epochs=1", "ppo.threads=2"]
     assert run_command("train", words) == 0
     assert threads == [2] and torch.get_num_threads() == 1
 
@@ -143,7 +145,7 @@ def test_a_gif_is_written(folder, tmp_path):
 )
 def test_bad_input_is_one_message_and_exit_2(folder, tmp_path, capsys, words, said):
     run = tmp_path / "run"
-    assert run_command("train", ["--data", str(folder), "--run", str(run), *words]) == 2
+    assert run_command("train", [*PAPER, "--data", str(folder), "--run", str(run), *words]) == 2
     message = capsys.readouterr().err
     assert message.startswith("error: ") and said in message and "Traceback" not in message
     assert not run.exists()
@@ -183,13 +185,13 @@ def test_what_is_beside_a_new_json_stays(folder, tmp_path, capsys):
 def test_names_that_no_file_can_have_are_one_error(folder, tmp_path, capsys):
     long = str(tmp_path / ("x" * 300))
     for command, words in (
-        ("train", ["--data", str(folder), "--run", long]), ("runs", [long]), ("test", ["--run", long]),
+        ("train", [*PAPER, "--data", str(folder), "--run", long]), ("runs", [long]), ("test", ["--run", long]),
         ("publish", [long, "--out", str(tmp_path / "a.safetensors")]),
     ):  # fmt: skip
         assert run_command(command, words) == 2, command
         assert capsys.readouterr().err.startswith("error: ")
     for name in ("../a", "a/b", "", "a\0b"):
-        assert run_command("train", ["--data", str(folder), f"name={json.dumps(name)}"]) == 2
+        assert run_command("train", [*PAPER, "--data", str(folder), f"name={json.dumps(name)}"]) == 2
         assert "name" in capsys.readouterr().err
 
 
@@ -202,7 +204,7 @@ def test_a_table_takes_minutes_and_seeds(words, capsys):
 
 def test_a_run_directory_that_exists_is_left_alone(trained, folder, capsys):
     before = {p: p.stat().st_mtime_ns for p in trained.rglob("*")}
-    assert run_command("train", ["--data", str(folder), "--run", str(trained), *SHORT]) == 2
+    assert run_command("train", [*PAPER, "--data", str(folder), "--run", str(trained), *SHORT]) == 2
     assert "exists already" in capsys.readouterr().err
     assert {p: p.stat().st_mtime_ns for p in trained.rglob("*")} == before
 
@@ -237,7 +239,7 @@ def test_usage_and_help(capsys):
 
 def test_ctrl_c_leaves_a_usable_checkpoint_and_exits_130(folder, tmp_path):
     run = tmp_path / "interrupted"
-    words = ["train.py", "--data", str(folder), "--run", str(run), "ppo.epochs=100000", *SHORT]
+    words = ["train.py", *PAPER, "--data", str(folder), "--run", str(run), "ppo.epochs=100000", *SHORT]
     process = subprocess.Popen(
         [sys.executable, *words, "eval.every=100000", "pool.kind=process"], cwd=shipped_root(),
         stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True, env={**os.environ, "OMP_NUM_THREADS": "1"},

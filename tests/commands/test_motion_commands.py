@@ -21,7 +21,8 @@ def folder(tmp_path_factory):
 @pytest.fixture(scope="module")
 def run(folder, tmp_path_factory):
     made = tmp_path_factory.mktemp("runs") / "r"
-    words = ["--data", str(folder), "--run", str(made), "ppo.epochs=1", "ppo.hidden=[8]", "eval.every=9", *SHORT]
+    words = ["--cfg", "cfg/dexycb.yaml",
+             "--data", str(folder), "--run", str(made), "ppo.epochs=1", "ppo.hidden=[8]", "eval.every=9", *SHORT]
     assert run_command("train", words) == 0
     return made
 

@@ -31,7 +31,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def _train(folder: Path, run: Path, *words: str) -> subprocess.Popen[str]:
-    command = [sys.executable, "train.py", "--data", str(folder), "--run", str(run), *SHORT, *words]
+    command = [sys.executable, "train.py", "--cfg", "cfg/dexycb.yaml",
+               "--data", str(folder), "--run", str(run), *SHORT, *words]
     environment = {**os.environ, "OMP_NUM_THREADS": "1"}
     return subprocess.Popen(command, cwd=shipped_root(), stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True,
                             env=environment)  # fmt: skip
@@ -66,7 +67,8 @@ def test_after_a_kill_the_weights_are_those_of_a_run_that_never_stopped(
     assert process.returncode == -signal.SIGKILL
     end = int(checkpoint.latest(tmp_path / "killed").stem) + 2
     assert run_command("train", ["--resume", str(tmp_path / "killed"), f"ppo.epochs={end}"]) == 0
-    straight = ["--data", str(folder), "--run", str(tmp_path / "straight"), *SHORT, f"ppo.epochs={end}", *words]
+    straight = ["--cfg", "cfg/dexycb.yaml",
+                "--data", str(folder), "--run", str(tmp_path / "straight"), *SHORT, f"ppo.epochs={end}", *words]
     assert run_command("train", straight) == 0
     a, b = (checkpoint.load(checkpoint.latest(tmp_path / name)) for name in ("killed", "straight"))
     assert a.epoch == b.epoch == end
@@ -91,7 +93,8 @@ def test_a_run_directory_belongs_to_one_process(
     folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     run = tmp_path / "run"
-    words = ["--data", str(folder), "--run", str(run), *SHORT, "ppo.epochs=1", "pool.kind=serial"]
+    words = ["--cfg", "cfg/dexycb.yaml",
+             "--data", str(folder), "--run", str(run), *SHORT, "ppo.epochs=1", "pool.kind=serial"]
     assert run_command("train", words) == 0
     with only_run(run):
         assert is_running(run)
@@ -103,7 +106,8 @@ def test_a_run_directory_belongs_to_one_process(
 
 def test_the_best_checkpoint_is_kept_and_can_be_tested(folder: Path, tmp_path: Path) -> None:
     run = tmp_path / "run"
-    words = ["--data", str(folder), "--run", str(run), *SHORT, "ppo.epochs=2", "eval.every=1", "pool.kind=serial"]
+    words = ["--cfg", "cfg/dexycb.yaml",
+             "--data", str(folder), "--run", str(run), *SHORT, "ppo.epochs=2", "eval.every=1", "pool.kind=serial"]
     assert run_command("train", words) == 0
     best = checkpoint.load(run / "best.pt")
     assert best.best_success == checkpoint.load(checkpoint.latest(run)).best_success

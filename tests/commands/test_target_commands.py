@@ -29,7 +29,8 @@ def root(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def grasp(folder, root):
-    words = ["--data", str(folder), "--run", str(root / "grasp"), *SHORT, "ppo.epochs=1", "eval.every=9"]
+    words = ["--cfg", "cfg/dexycb.yaml",
+             "--data", str(folder), "--run", str(root / "grasp"), *SHORT, "ppo.epochs=1", "eval.every=9"]
     assert run_command("train", words) == 0
     return root / "grasp"
 

@@ -96,7 +96,8 @@ def test_from_a_run_to_a_result(
     data = make_folder(tmp_path / "free")
     words = ["--data", str(data), *SHORT]
     run, weights = tmp_path / "run", tmp_path / "mine.safetensors"
-    assert run_command("train", ["--run", str(run), *words, "env.scaled_features=true"]) == 0
+    training = ["--cfg", "cfg/dexycb.yaml", "--run", str(run), *words, "env.scaled_features=true"]
+    assert run_command("train", training) == 0
     assert run_command("publish", [str(run), "--out", str(weights)]) == 0
     assert "MIT" in capsys.readouterr().out
     shipped = tmp_path / request.PRETRAINED_FILE

@@ -1,0 +1,57 @@
+"""Machines that lack something: a home, a folder that can be written to, a stream."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from dgrasp.files import paths
+from dgrasp.files.paths import shipped_root, user_cache_root
+from tests.objects.meshes import box, save
+
+
+def no_home(*_: object) -> Path:
+    raise RuntimeError("Could not determine home directory.")
+
+
+def test_without_a_home_the_cache_is_a_temporary_folder(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setattr(Path, "home", no_home)
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    for name in ("DGRASP_CACHE", "XDG_CACHE_HOME", "LOCALAPPDATA"):
+        monkeypatch.delenv(name, raising=False)
+    paths._temporary_cache.cache_clear()
+    root = user_cache_root()
+    assert root.parent == tmp_path and root.is_dir() and user_cache_root() == root
+    # What is named needs no home.
+    monkeypatch.setenv("DGRASP_CACHE", str(tmp_path / "mine"))
+    assert user_cache_root() == tmp_path / "mine"
+    paths._temporary_cache.cache_clear()
+
+
+_NO_HOME = """
+import pathlib, sys
+def no_home(*_):
+    raise RuntimeError("Could not determine home directory.")
+pathlib.Path.home = no_home
+pathlib.Path.expanduser = no_home
+from dgrasp.cli import main
+sys.exit(main(sys.argv[1:]))
+"""
+
+
+def test_commands_run_without_home_and_user(tmp_path: Path) -> None:
+    save(box(), tmp_path / "box.obj")
+    for words in (
+        ["object", "add", "box.obj", "--units", "m", "--to", "objects", "--shape", "parts"],
+        ["test", "--baseline", "gt_pd", "--data", "free", "--objects", "004", "labels.limit_per_object=1",
+         "eval.window_s=0.1", "pool.kind=serial"],
+    ):  # fmt: skip
+        done = subprocess.run(
+            [sys.executable, "-c", _NO_HOME, *words], cwd=tmp_path, capture_output=True, text=True,
+            env={"PYTHONPATH": str(shipped_root()), "OMP_NUM_THREADS": "1", "PATH": os.environ["PATH"]},
+        )  # fmt: skip
+        assert done.returncode == 0 and "Traceback" not in done.stderr, done.stderr
