@@ -14,6 +14,7 @@ from dgrasp.labels.recorded.common import add_common, finish, make_maker, progre
 from dgrasp.labels.recorded.conventions import CHOICES, read_grasps
 from dgrasp.labels.recorded.making import numbered
 from dgrasp.labels.recorded.mano_table import read_mano_table
+from dgrasp.labels.recorded.published import PUBLISHED
 from dgrasp.scene.scene import TABLE_TOP
 from dgrasp.scene.standing import PLACE_XY
 
@@ -22,7 +23,8 @@ Make grasp labels from a .npz or .csv of MANO parameters and object poses, such 
 ContactOpt. docs/labels.md lists the names of arrays and columns. Where data sets differ in what the numbers mean,
 nothing is assumed: say it, or give the key points (`joints`), by which it is found.
 
-example:
+examples:
+  dgrasp labels import mano estimates.npz --from hamer --mano MANO_RIGHT.pkl --hand hands/mine --out mine.npz
   dgrasp labels import mano grasps.npz --mano MANO_RIGHT.pkl --hand hands/mine --objects YCB_models --out mine.npz \\
       --pose axis-angle --mean flat --fingers mano --transl mano --quaternion xyzw
 """
@@ -30,8 +32,9 @@ example:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The options of `labels import mano`."""
-    parser.add_argument("source", type=Path, metavar="FILE", help="a .npz or .csv")
-    add_common(parser, objects="needed")
+    parser.add_argument("source", type=Path, metavar="FILE",
+                        help="a .npz or .csv, or with --from a file of that source")
+    add_common(parser, objects="objects of `dgrasp object add`")
     meanings = {
         "pose": "what hand_pose holds", "mean": "from where it counts: the flat hand or MANO's mean pose",
         "fingers": "index, middle, little, ring, thumb (mano) or index, middle, ring, little, thumb (project)",
@@ -39,6 +42,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     }  # fmt: skip
     for question, meaning in meanings.items():
         parser.add_argument(f"--{question}", choices=CHOICES[question], help=meaning)
+    parser.add_argument("--from", dest="origin", choices=PUBLISHED,
+                        help="who wrote the file: answers these questions, and reads its own form and names")
+    parser.add_argument("--rotation6d", choices=("columns", "rows"), default="columns",
+                        help="what 6D rotations hold: a matrix's first two columns (default) or its first two rows")
+    parser.add_argument("--scale", type=float, metavar="S",
+                        help="take the grasps of this scale, where DexGraspNet has several of an object")
     parser.add_argument("--mean-shape", action="store_true", help="the hands have MANO's mean shape (no betas)")
     parser.add_argument("--object", metavar="NAME", help="the object of all rows, where the table has no names")
     parser.add_argument("--object-at-origin", action="store_true",
@@ -51,15 +60,24 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def main(arguments: argparse.Namespace) -> int:
     """Import and write the labels; returns the exit code."""
-    if arguments.objects is None:
-        raise DataError("--objects: give the folder of the objects' meshes, which the contacts are taken from")
     if arguments.table is not None and not (math.isfinite(arguments.table) and abs(arguments.table) <= 10.0):
         raise DataError(f"--table {arguments.table:g}: expected metres, at most 10")
     maker = make_maker(arguments, [])
-    table = read_mano_table(arguments.source, arguments.object)
+    published = None if arguments.origin is None else PUBLISHED[arguments.origin]
+    table = read_mano_table(arguments.source, arguments.object, maker.surfaces.known, published,
+                            arguments.rotation6d == "rows", arguments.scale)
+    maker.surfaces.scale = table.scale
     given = {question: getattr(arguments, question) for question in CHOICES if getattr(arguments, question)}
-    grasps = read_grasps(table, maker.model, given, arguments.mean_shape, arguments.object_at_origin)
-    print("conventions: " + ", ".join(f"{question} {answer}" for question, answer in grasps.answers.items()))
+    mean_shape, at_origin = arguments.mean_shape, arguments.object_at_origin
+    if published is not None:
+        given = dict(published.answers) | given
+        mean_shape |= "betas" not in table.values
+        at_origin |= not {"object_rotation", "object_translation"} & set(table.values)
+    grasps = read_grasps(table, maker.model, given, mean_shape, at_origin)
+    notes = ["mean shape"] * mean_shape + ["object at the origin"] * at_origin
+    notes += [] if table.scale is None else [f"meshes of unit size x {table.scale:g}"]
+    answers = [f"{question} {answer}" for question, answer in grasps.answers.items()]
+    print("conventions: " + ", ".join([*answers, *notes]))
     labels, skipped = [], {}
     for row in progress(list(range(len(table))), "making labels"):
         T_OH = np.linalg.inv(grasps.T_AO[row]) @ grasps.T_AH[row]

@@ -237,7 +237,8 @@ def hostile_streams(command: str, code: str) -> Iterator[tuple[str, bytes]]:
     yield "call of what was read", head + WRAPPER + text(command) + b"\x85R."
     called = text(command) + b"\x85R"
     for module, name in (("nt", "system"), ("pty", "spawn"), ("subprocess", "Popen"), ("os", "popen"),
-                         ("runpy", "run_path"), ("builtins", "exec"), ("builtins", "__import__"), ("__builtin__", "eval"), ("builtins", "open"),
+                         ("runpy", "run_path"), ("builtins", "exec"), ("builtins", "__import__"),
+                         ("__builtin__", "eval"), ("builtins", "open"),
                          ("importlib", "import_module"), ("operator", "attrgetter"), ("operator", "methodcaller"),
                          ("functools", "partial"), ("functools", "reduce"), ("codecs", "open"), ("_codecs", "lookup"),
                          ("ctypes", "CDLL"), ("pickle", "loads"), ("_pickle", "loads"), ("types", "FunctionType"),

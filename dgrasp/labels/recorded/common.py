@@ -20,6 +20,7 @@ from dgrasp.labels.formats.native import write_native
 from dgrasp.labels.recorded.making import LabelMaker, target_hand
 from dgrasp.labels.recorded.surfaces import Surfaces
 from dgrasp.labels.source import sha256_of
+from dgrasp.objects.store import default_store
 from dgrasp.types import GraspLabel
 
 _EXAMPLES, MAX_REASONS = 3, 5000
@@ -29,7 +30,8 @@ _T = TypeVar("_T")
 def add_common(parser: argparse.ArgumentParser, objects: str) -> None:
     """The options of all kinds. objects: what `--objects` is for without it."""
     parser.add_argument("--mano", type=Path, required=True, metavar="FILE",
-                        help="MANO_RIGHT.pkl, with which the source's hands were fitted")
+                        help="MANO_RIGHT.pkl, with which the source's hands were fitted; or a hand in MANO's layout "
+                             "as .npz")
     parser.add_argument("--hand", required=True, metavar="HAND",
                         help="the hand that the labels are made for: a folder of `dgrasp hand build`, or a release's "
                              "hand/mano_mean.urdf")
@@ -39,13 +41,16 @@ def add_common(parser: argparse.ArgumentParser, objects: str) -> None:
 
 
 def make_maker(arguments: argparse.Namespace, folders: list[Path]) -> LabelMaker:
-    """The maker that the options describe; folders: where meshes are without `--objects`."""
+    """The maker that the options describe; folders: where meshes are without `--objects`.
+
+    Objects that `dgrasp object add` wrote are found in any case.
+    """
     out = arguments.out
     if out.suffix != ".npz" or not out.parent.is_dir():
         raise DataError(f"--out {out}: expected the name of a .npz file in a folder that exists")
     model: ManoModel = read_mano(arguments.mano)
     chosen = [arguments.objects] if arguments.objects is not None else folders
-    return LabelMaker(target_hand(arguments.hand, model), model, Surfaces(chosen))
+    return LabelMaker(target_hand(arguments.hand, model), model, Surfaces([*chosen, default_store()]))
 
 
 def progress(items: list[_T], what: str) -> Iterable[_T]:
