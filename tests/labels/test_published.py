@@ -101,7 +101,8 @@ def test_contactopts_names(tmp_path: Path) -> None:
 
 def test_a_sequence_of_grab(tmp_path: Path) -> None:
     orient, _ = rotations()
-    hand = {"global_orient": orient, "hand_pose": np.zeros((N, 24)), "transl": np.ones((N, 3)), "fullpose": np.zeros((N, 45))}
+    hand = {"global_orient": orient, "hand_pose": np.zeros((N, 24)), "transl": np.ones((N, 3)),
+            "fullpose": np.zeros((N, 45))}
     thing = {"global_orient": orient, "transl": np.zeros((N, 3))}
     table = read(tmp_path / "a.npz", "grab", rhand={"params": hand, "vtemp": "x.ply"}, obj_name="025_mug",
                  object={"params": thing, "object_mesh": "mug.ply"}, body={"params": {}}, n_frames=N)
@@ -125,8 +126,8 @@ def test_dexgraspnets_grasps_and_their_scale(tmp_path: Path, capsys: pytest.Capt
     trimesh.creation.box((1.0, 1.0, 1.0)).export(tmp_path / "meshes" / "my_box" / "textured_simple.obj")
     np.save(tmp_path / "my_box.npy", dexgraspnet([0.1, 0.1, 0.06]), allow_pickle=True)
     out = tmp_path / "out.npz"
-    words = ["labels", "import", "mano", str(tmp_path / "my_box.npy"), "--from", "dexgraspnet", "--object", "my_box", *OPTIONS,
-             "--objects", str(tmp_path / "meshes"), "--out", str(out)]
+    words = ["labels", "import", "mano", str(tmp_path / "my_box.npy"), "--from", "dexgraspnet", "--object", "my_box",
+             *OPTIONS, "--objects", str(tmp_path / "meshes"), "--out", str(out)]
     assert main(words) == 2
     assert "grasps at the scales 0.06, 0.1; an object has one size: choose one with --scale" in capsys.readouterr().err
     assert main([*words, "--scale", "0.1"]) == 0
@@ -186,7 +187,8 @@ def test_labels_of_an_added_object(
     [
         ({"hand_pose": np.full((2, 45), 60.0)}, "row 0: hand_pose has an angle beyond 2 pi, as degrees would"),
         ({"global_orient": np.full((2, 3), 90.0)}, "row 0: global_orient has an angle beyond 2 pi, as degrees would"),
-        ({"transl": np.array([[0.1, 0.0, 0.0], [90.0, 0.0, 0.0]])}, "row 1: transl lies beyond 10 m, as millimetres would"),
+        ({"transl": np.array([[0.1, 0.0, 0.0], [90.0, 0.0, 0.0]])},
+         "row 1: transl lies beyond 10 m, as millimetres would"),
     ],
 )
 def test_degrees_and_millimetres(
@@ -195,6 +197,6 @@ def test_degrees_and_millimetres(
     arrays = {"betas": np.zeros((2, 6)), "global_orient": np.zeros((2, 3)), "hand_pose": np.zeros((2, 45)),
               "transl": np.zeros((2, 3)), "object": np.array(["061_foam_brick"] * 2)}
     np.savez(tmp_path / "a.npz", **(arrays | change))
-    assert main(["labels", "import", "mano", str(tmp_path / "a.npz"), *OPTIONS, "--out", str(tmp_path / "o.npz"), "--pose",
-                 "axis-angle", "--mean", "flat", "--fingers", "mano", "--transl", "mano", "--object-at-origin"]) == 2
+    assert main(["labels", "import", "mano", str(tmp_path / "a.npz"), *OPTIONS, "--out", str(tmp_path / "o.npz"),
+                 "--pose", "axis-angle", "--mean", "flat", "--fingers", "mano", "--transl", "mano", "--object-at-origin"]) == 2
     assert message in (printed := capsys.readouterr().err) and "multiply by" in printed

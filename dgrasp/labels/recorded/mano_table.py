@@ -7,7 +7,6 @@ where data sets differ is asked for or found out in `dgrasp.labels.recorded.conv
 from __future__ import annotations
 
 import csv
-import io
 import re
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -17,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from dgrasp.errors import DataError
+from dgrasp.files import csv_text
 from dgrasp.files.arrays import plain_text
 from dgrasp.files.npz import open_npz
 from dgrasp.labels.recorded.published import Published, rotation_vectors
@@ -199,23 +199,19 @@ def _read_csv(path: Path) -> dict[str, Any]:
     try:
         if path.stat().st_size > MAX_BYTES:
             raise DataError(f"{path}: {path.stat().st_size} bytes; a table has at most {MAX_BYTES}; split it")
-        text = path.read_text(encoding="utf-8-sig")
-        rows = csv.reader(io.StringIO(text, newline=""), strict=True)
-        header = [cell.strip() for cell in next(rows, [])]
+        header, rows = csv_text.cells(csv_text.decoded(path.read_bytes()))
         where = _columns(path, header)
         cells: list[list[float]] = []
         names: list[str] = []
-        for row in rows:
-            if not row:
-                continue
+        for line, row in rows:
             if len(row) != len(header) or len(cells) >= MAX_ROWS:
-                raise DataError(f"{path}: line {rows.line_num}: {len(row)} cells; expected {len(header)} in each of at "
+                raise DataError(f"{path}: line {line}: {len(row)} cells; expected {len(header)} in each of at "
                                 f"most {MAX_ROWS} lines")
-            names.append(row[header.index("object")].strip() if "object" in header else "")
+            names.append(row[header.index("object")] if "object" in header else "")
             try:
                 cells.append([float(row[i]) for columns in where.values() for i in columns])
             except ValueError as error:
-                raise DataError(f"{path}: line {rows.line_num}: {str(error)[:100]}; expected numbers") from None
+                raise DataError(f"{path}: line {line}: {str(error)[:100]}; expected numbers") from None
     except OSError as error:
         raise DataError(f"{path}: cannot be read ({error.strerror or error})") from None
     except (UnicodeDecodeError, csv.Error) as error:
