@@ -22,7 +22,7 @@ from dgrasp.files import licences
 from dgrasp.hand.store import NamedHand, open_hand
 from dgrasp.objects.free import free_object
 from dgrasp.objects.model import ObjectModel
-from dgrasp.objects.names import YCB_NAMES, resolve_object
+from dgrasp.objects.names import LARGE_CLAMP, YCB_NAMES, resolve_object
 from dgrasp.objects.release import release_object
 from dgrasp.objects.store import default_store, find_object, load_object
 from dgrasp.pool import cores
@@ -164,6 +164,8 @@ def _object(name: str, data: Path | None, store: Path | None, config: Config) ->
     try:
         full = resolve_object(name)
     except DataError:
+        if name == LARGE_CLAMP:
+            raise
         return load_object(find_object(name, [folder]).folder, physics.official_compat, parts)
     if data is None:
         return free_object(full, physics.masses, physics.official_compat)

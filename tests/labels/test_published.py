@@ -198,5 +198,6 @@ def test_degrees_and_millimetres(
               "transl": np.zeros((2, 3)), "object": np.array(["061_foam_brick"] * 2)}
     np.savez(tmp_path / "a.npz", **(arrays | change))
     assert main(["labels", "import", "mano", str(tmp_path / "a.npz"), *OPTIONS, "--out", str(tmp_path / "o.npz"),
-                 "--pose", "axis-angle", "--mean", "flat", "--fingers", "mano", "--transl", "mano", "--object-at-origin"]) == 2
+                 "--pose", "axis-angle", "--mean", "flat", "--fingers", "mano", "--transl", "mano",
+                 "--object-at-origin"]) == 2
     assert message in (printed := capsys.readouterr().err) and "multiply by" in printed
