@@ -15,7 +15,7 @@ class Shape:
 
     size: box (x, y, z) full lengths; cylinder and capsule (radius, length) along z, the capsule's length
     without its caps; sphere (radius,). A mesh (concave triangles) and a hull (convex hull of the vertices)
-    come from `file`, and their size is empty. m; quaternion w, x, y, z.
+    come from `file`, times `scale` along the file's axes, and their size is empty. m; quaternion w, x, y, z.
     """
 
     kind: Kind
@@ -23,3 +23,4 @@ class Shape:
     position: tuple[float, float, float] = (0.0, 0.0, 0.0)
     quaternion: tuple[float, float, float, float] = (1.0, 0.0, 0.0, 0.0)
     file: Path | None = None
+    scale: tuple[float, float, float] = (1.0, 1.0, 1.0)
