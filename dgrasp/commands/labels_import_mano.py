@@ -70,14 +70,17 @@ def main(arguments: argparse.Namespace) -> int:
     given = {question: getattr(arguments, question) for question in CHOICES if getattr(arguments, question)}
     mean_shape, at_origin = arguments.mean_shape, arguments.object_at_origin
     if published is not None:
-        given = dict(published.answers) | given
+        own, given = given, dict(published.answers) | given
         mean_shape |= "betas" not in table.values
         at_origin |= not {"object_rotation", "object_translation"} & set(table.values)
     grasps = read_grasps(table, maker.model, given, mean_shape, at_origin)
     notes = ["mean shape"] * mean_shape + ["object at the origin"] * at_origin
     notes += [] if table.scale is None else [f"meshes of unit size x {table.scale:g}"]
-    answers = [f"{question} {answer}" for question, answer in grasps.answers.items()]
-    print("conventions: " + ", ".join([*answers, *notes]))
+    answers = dict(grasps.answers)
+    if published is not None:
+        answers = {question: answer if question in own else answer.replace("given", f"as {arguments.origin} has it")
+                   for question, answer in answers.items()}
+    print("conventions: " + ", ".join([*(f"{question} {answer}" for question, answer in answers.items()), *notes]))
     labels, skipped = [], {}
     for row in progress(list(range(len(table))), "making labels"):
         T_OH = np.linalg.inv(grasps.T_AO[row]) @ grasps.T_AH[row]
@@ -96,5 +99,5 @@ def main(arguments: argparse.Namespace) -> int:
         labels.append(maker.label(name, T_WH, pose, T_WO, contacts, None, f"{table.path.name}:{row}"[:200],
                                   on_table=arguments.table is not None))
     return finish(arguments, numbered(labels), skipped, {
-        "made by": "dgrasp labels import mano", "table": table.path.name, "conventions": grasps.answers,
+        "made by": "dgrasp labels import mano", "table": table.path.name, "conventions": answers,
     }, arguments.licence)  # fmt: skip
