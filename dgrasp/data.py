@@ -17,7 +17,7 @@ from dgrasp.files.paths import data_root, user_data_root
 from dgrasp.hand.store import AUTHORS_HAND, FREE_HAND, HandSource, authors_source, find_hand, free_source
 from dgrasp.labels.source import FREE, RELEASED, LabelSet, load_labels, select, sha256_of
 from dgrasp.objects.names import YCB_NAMES, nearest
-from dgrasp.objects.store import StoredObject, default_store, find_object
+from dgrasp.objects.store import StoredObject, default_store, find_object, is_added
 
 Kind = Literal["free", "release"]
 _HAND_FILES: dict[Kind, str] = {"release": "mano_mean.urdf", "free": "free_hand.urdf"}
@@ -111,8 +111,10 @@ def resolve(config: Config) -> DataChoice:
         raise DataError(f"{path}: labels made for the hand {labels.hand!r}, but the hand of {root} is {hand!r}; "
                         "a grasp fits only its own hand; choose data and labels that go together (--data, --labels, "
                         "hand=)")
-    chosen = select(labels, config.labels.objects, config.labels.limit_per_object)
-    added = _added(config, root, chosen)
+    folders = _object_folders(config, root)
+    own = [name for name in config.labels.objects if is_added(name, folders)]
+    chosen = select(labels, config.labels.objects, config.labels.limit_per_object, own)
+    added = {name: find_object(name, folders) for name in chosen.objects if name not in YCB_NAMES.values()}
     comparable = kind == "release" and labels.comparable_with_paper and hand_urdf == root / "hand" / _HAND_FILES[kind]
     return DataChoice(
         root=root, kind=kind, hand_source=source_of_hand, hand_sha256=sha256_of(hand_urdf),
@@ -121,14 +123,14 @@ def resolve(config: Config) -> DataChoice:
     )
 
 
-def _added(config: Config, root: Path, labels: LabelSet) -> dict[str, StoredObject]:
-    """The labels' objects that are not among the 20, from the config's folder, else from the data's or the user's."""
-    folders = [root / "objects", default_store()]
-    if config.objects is not None:
-        folders = [Path(os.path.expanduser(config.objects))]
-        if not os.path.isdir(folders[0]):
-            raise DataError(f"objects: no folder {str(folders[0])!r}; expected one that `dgrasp object add` wrote to")
-    return {name: find_object(name, folders) for name in labels.objects if name not in YCB_NAMES.values()}
+def _object_folders(config: Config, root: Path) -> list[Path]:
+    """The folders with added objects: the one that the config names, else the data's and the user's."""
+    if config.objects is None:
+        return [root / "objects", default_store()]
+    folder = Path(os.path.expanduser(config.objects))
+    if not os.path.isdir(folder):
+        raise DataError(f"objects: no folder {str(folder)!r}; expected one that `dgrasp object add` wrote to")
+    return [folder]
 
 
 def _is_free(folder: Path) -> bool:

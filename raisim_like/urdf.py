@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from raisim_like.errors import UrdfError
 from raisim_like.rotations import matrix_from_quaternion, quaternion_from_matrix, transform
 from raisim_like.shapes import Shape
+from raisim_like.urdf_gaps import fill_gaps
 
 Array = NDArray[Any]
 
@@ -152,9 +153,10 @@ class _Reader:
                 file = self.path.parent / (node.get("filename") or "")
                 if not file.is_file():
                     raise self.fail(at, f"mesh file {file} does not exist")
-                if not np.allclose(self.numbers(node.get("scale", "1 1 1"), 3, at), 1.0):
-                    raise self.fail(at, "scaled meshes are not supported; scale the file")
-                shape = Shape("hull", file=file)
+                x, y, z = (float(v) for v in self.numbers(node.get("scale", "1 1 1"), 3, f"{at} scale"))
+                if min(abs(x), abs(y), abs(z)) == 0.0:
+                    raise self.fail(at, f"scale {x:g} {y:g} {z:g}; expected three numbers other than zero")
+                shape = Shape("hull", file=file, scale=(x, y, z))
             else:
                 raise self.fail(at, "expected box, cylinder, capsule, sphere or mesh")
             if any(value <= 0 for value in shape.size):
@@ -166,7 +168,7 @@ class _Reader:
 def _place(shape: Shape, T: Array) -> Shape:
     x, y, z = (float(v) for v in T[:3, 3])
     w, i, j, k = (float(v) for v in quaternion_from_matrix(T[:3, :3]))
-    return Shape(shape.kind, tuple(float(v) for v in shape.size), (x, y, z), (w, i, j, k), shape.file)
+    return Shape(shape.kind, tuple(float(v) for v in shape.size), (x, y, z), (w, i, j, k), shape.file, shape.scale)
 
 
 def _merge_inertias(items: list[tuple[float, Array, Array]]) -> tuple[float, Array, Array]:
@@ -185,7 +187,8 @@ def _merge_inertias(items: list[tuple[float, Array, Array]]) -> tuple[float, Arr
 def read_urdf(path: Path | str) -> UrdfModel:
     """The moving links of a URDF file, in RaiSim's depth-first order.
 
-    Fixed joints are collapsed: shapes and masses move to the nearest moving ancestor. Raises `UrdfError`.
+    Fixed joints are collapsed: shapes and masses move to the nearest moving ancestor. A link with shapes and without
+    <inertial> gets the mass and inertia of its shapes, with a warning that names it. Raises `UrdfError`.
     """
     reader = _Reader(Path(path))
     links: dict[str, ElementTree.Element] = {}
@@ -271,6 +274,7 @@ def read_urdf(path: Path | str) -> UrdfModel:
         raise reader.fail("robot", "links are nested too deeply") from None
     if len(frames) != len(links):
         raise reader.fail("robot", f"links not connected to {roots[0]!r}: {sorted(set(links) - set(frames))}")
+    fill_gaps(reader.path, reader.root, moving)
     built = []
     for entry in moving:
         mass, com, inertia = _merge_inertias(entry.pop("inertials"))

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from dgrasp.config.names import MANO_CONVENTIONS
+from dgrasp.config.names import MANO_CONVENTIONS, MANO_SOURCES
 from dgrasp.errors import DataError
 from dgrasp.files import licences
 from dgrasp.labels.recorded.common import add_common
@@ -18,7 +18,8 @@ Make grasp labels from a .npz or .csv of MANO parameters and object poses, such 
 ContactOpt. docs/labels.md lists the names of arrays and columns. Data sets follow different conventions, and none is
 assumed: state them with the options below, or provide the key points (`joints`), from which they are found.
 
-example:
+examples:
+  dgrasp labels import mano estimates.npz --from hamer --mano MANO_RIGHT.pkl --hand hands/mine --out mine.npz
   dgrasp labels import mano grasps.npz --mano MANO_RIGHT.pkl --hand hands/mine --objects YCB_models --out mine.npz \\
       --pose axis-angle --mean flat --fingers mano --transl mano --quaternion xyzw
 """
@@ -26,8 +27,9 @@ example:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `labels import mano`."""
-    parser.add_argument("source", type=Path, metavar="FILE", help="a .npz or .csv")
-    add_common(parser, objects="required")
+    parser.add_argument("source", type=Path, metavar="FILE",
+                        help="a .npz or .csv, or with --from a file of that source")
+    add_common(parser, objects="objects of `dgrasp object add`")
     meanings = {
         "pose": "what hand_pose holds", "mean": "zero of hand_pose: the flat hand or MANO's mean pose",
         "fingers": "index, middle, little, ring, thumb (mano) or index, middle, ring, little, thumb (project)",
@@ -35,6 +37,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     }  # fmt: skip
     for question, meaning in meanings.items():
         parser.add_argument(f"--{question}", choices=MANO_CONVENTIONS[question], help=meaning)
+    parser.add_argument("--from", dest="origin", choices=MANO_SOURCES,
+                        help="who wrote the file: answers these questions, and reads its own form and names")
+    parser.add_argument("--rotation6d", choices=("columns", "rows"), default="columns",
+                        help="what 6D rotations hold: a matrix's first two columns (default) or its first two rows")
+    parser.add_argument("--scale", type=float, metavar="S",
+                        help="take the grasps of this scale, where DexGraspNet has several of an object")
     parser.add_argument("--mean-shape", action="store_true", help="the hands have MANO's mean shape (no betas)")
     parser.add_argument("--object", metavar="NAME", help="the object of all rows, if the table has no names")
     parser.add_argument("--object-at-origin", action="store_true",
@@ -47,8 +55,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def main(arguments: argparse.Namespace) -> int:
     """Import and write the labels; returns the exit code."""
-    if arguments.objects is None:
-        raise DataError("--objects is missing; expected the folder of the objects' meshes, which give the contacts")
     if arguments.table is not None and not (math.isfinite(arguments.table) and abs(arguments.table) <= 10.0):
         raise DataError(f"--table {arguments.table:g}: expected metres, at most 10")
 
@@ -56,14 +62,29 @@ def main(arguments: argparse.Namespace) -> int:
     from dgrasp.labels.recorded.conventions import read_grasps
     from dgrasp.labels.recorded.making import numbered
     from dgrasp.labels.recorded.mano_table import read_mano_table
+    from dgrasp.labels.recorded.published import PUBLISHED
     from dgrasp.scene.scene import TABLE_TOP
     from dgrasp.scene.standing import PLACE_XY
 
     maker = make_maker(arguments, [])
-    table = read_mano_table(arguments.source, arguments.object)
+    published = None if arguments.origin is None else PUBLISHED[arguments.origin]
+    table = read_mano_table(arguments.source, arguments.object, maker.surfaces.known, published,
+                            arguments.rotation6d == "rows", arguments.scale)
+    maker.surfaces.scale = table.scale
     given = {question: getattr(arguments, question) for question in MANO_CONVENTIONS if getattr(arguments, question)}
-    grasps = read_grasps(table, maker.model, given, arguments.mean_shape, arguments.object_at_origin)
-    print("conventions: " + ", ".join(f"{question} {answer}" for question, answer in grasps.answers.items()))
+    mean_shape, at_origin = arguments.mean_shape, arguments.object_at_origin
+    if published is not None:
+        own, given = given, dict(published.answers) | given
+        mean_shape |= "betas" not in table.values
+        at_origin |= not {"object_rotation", "object_translation"} & set(table.values)
+    grasps = read_grasps(table, maker.model, given, mean_shape, at_origin)
+    notes = ["mean shape"] * mean_shape + ["object at the origin"] * at_origin
+    notes += [] if table.scale is None else [f"meshes of unit size x {table.scale:g}"]
+    answers = dict(grasps.answers)
+    if published is not None:
+        answers = {question: answer if question in own else answer.replace("given", f"as {arguments.origin} has it")
+                   for question, answer in answers.items()}
+    print("conventions: " + ", ".join([*(f"{question} {answer}" for question, answer in answers.items()), *notes]))
     labels, skipped = [], {}
     for row in progress(list(range(len(table))), "making labels"):
         T_OH = np.linalg.inv(grasps.T_AO[row]) @ grasps.T_AH[row]
@@ -82,5 +103,5 @@ def main(arguments: argparse.Namespace) -> int:
         labels.append(maker.label(name, T_WH, pose, T_WO, contacts, None, f"{table.path.name}:{row}"[:200],
                                   on_table=arguments.table is not None))
     return finish(arguments, numbered(labels), skipped, {
-        "made by": "dgrasp labels import mano", "table": table.path.name, "conventions": grasps.answers,
+        "made by": "dgrasp labels import mano", "table": table.path.name, "conventions": answers,
     }, arguments.licence)  # fmt: skip

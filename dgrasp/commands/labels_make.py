@@ -19,7 +19,7 @@ from dgrasp import __version__
 from dgrasp.config.experiment import Config, make_config
 from dgrasp.errors import ConfigError, DataError
 from dgrasp.files import licences
-from dgrasp.objects.names import YCB_NAMES, resolve_object
+from dgrasp.objects.names import LARGE_CLAMP, YCB_NAMES, resolve_object
 from dgrasp.objects.store import default_store, find_object, load_object
 from dgrasp.types import GraspLabel
 from raisim_like.engines import default_engine
@@ -174,6 +174,8 @@ def _object(name: str, data: Path | None, store: Path | None, config: Config) ->
     try:
         full = resolve_object(name)
     except DataError:
+        if name == LARGE_CLAMP:
+            raise
         return load_object(find_object(name, [folder]).folder, physics.official_compat, parts)
     if data is None:
         return free_object(full, physics.masses, physics.official_compat)

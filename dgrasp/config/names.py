@@ -14,6 +14,8 @@ pose: PCA coefficients or rotation vectors. mean: they count from the flat hand 
 index, middle, little, ring, thumb, or index, middle, ring, little, thumb. transl: MANO's translation of the mesh, or
 the wrist's position. quaternion: the order of `object_rotation`'s four numbers.
 """
+MANO_SOURCES = ("hamer", "wilor", "grasptta", "contactopt", "dexgraspnet", "grab")
+"""What `--from` takes: the sources of `dgrasp.labels.recorded.published`."""
 DISPLACEMENT = 0.01
 """m from where the object lay; in the labels that the authors published it is 9 mm (median)."""
 START_DISTANCE = 0.20

@@ -92,9 +92,12 @@ def combine(parts: Iterable[MassProperties]) -> MassProperties:
     return MassProperties(volume, center, inertia)
 
 
-def load_mesh(path: Path) -> trimesh.Trimesh:
-    """The triangles of a mesh file in m, its vertices merged; `DataError` names a missing or damaged file."""
-    import trimesh  # Imported late: it takes a second, which a worker with free objects need not spend.
+def load_mesh(path: Path, scale: tuple[float, float, float] = (1.0, 1.0, 1.0)) -> trimesh.Trimesh:
+    """The triangles of a mesh file in m, its vertices merged, times `scale` along its axes.
+
+    A `DataError` names a missing or damaged file.
+    """
+    import trimesh  # Late: it takes a second, which a worker with free objects need not spend.
 
     path = Path(path)
     if not path.is_file():
@@ -110,6 +113,8 @@ def load_mesh(path: Path) -> trimesh.Trimesh:
     if not isinstance(mesh, trimesh.Trimesh) or len(mesh.faces) == 0 or not np.isfinite(mesh.vertices).all():
         raise DataError(f"{path}: expected a mesh with faces and finite vertices, found none")
     mesh.merge_vertices(merge_tex=True, merge_norm=True)
+    if scale != (1.0, 1.0, 1.0):
+        mesh.apply_scale(scale)
     return mesh
 
 
@@ -124,13 +129,15 @@ def check_size(path: Path, extents: Array, expected: Sequence[float]) -> None:
                         "expected metres. Convert the mesh, or name a release's folder that has it in metres")
 
 
-def mesh_properties(path: Path, convex: bool = False) -> MassProperties:
-    """Mass properties of a mesh file, in the mesh's frame.
+def mesh_properties(
+    path: Path, convex: bool = False, scale: tuple[float, float, float] = (1.0, 1.0, 1.0)
+) -> MassProperties:
+    """Of a mesh file times `scale`, in the mesh's frame.
 
     A closed and consistently wound surface is integrated as it is. An open or inconsistent one encloses no volume and
     is replaced by its convex hull, and so is every mesh if `convex`. Raises `DataError` for a flat mesh.
     """
-    mesh = load_mesh(path)
+    mesh = load_mesh(path, scale)
     spread = np.linalg.svd(mesh.vertices - mesh.vertices.mean(axis=0), compute_uv=False)
     if len(spread) < 3 or spread[2] < 1e-9 * spread[0]:
         raise DataError(f"{path}: the mesh is flat; expected one that encloses a volume")
@@ -144,7 +151,7 @@ def shape_properties(shape: Shape) -> MassProperties:
     if shape.kind in ("mesh", "hull"):
         if shape.file is None:
             raise ValueError(f"a shape of kind {shape.kind!r} needs a file")
-        local = mesh_properties(shape.file, convex=shape.kind == "hull")
+        local = mesh_properties(shape.file, shape.kind == "hull", shape.scale)
     elif shape.kind == "box":
         local = box_properties(*shape.size)
     elif shape.kind == "cylinder":

@@ -31,7 +31,7 @@ def inside_shape(shape: Shape, points: Array) -> Array:
         raise ValueError(f"a shape of kind {shape.kind!r} needs a file")
     from dgrasp.geometry.inertia import load_mesh
 
-    return inside_hull(np.asarray(load_mesh(shape.file).vertices), local)
+    return inside_hull(np.asarray(load_mesh(shape.file, shape.scale).vertices), local)
 
 
 def inside_hull(vertices: Array, points: Array) -> Array:
@@ -100,7 +100,7 @@ def shape_bounds(shape: Shape) -> tuple[Array, Array]:
         from dgrasp.geometry.inertia import load_mesh
 
         assert shape.file is not None
-        placed = np.asarray(load_mesh(shape.file).vertices) @ R.T + np.array(shape.position)
+        placed = np.asarray(load_mesh(shape.file, shape.scale).vertices) @ R.T + np.array(shape.position)
         return placed.min(axis=0), placed.max(axis=0)
     if shape.kind == "box":
         half = np.abs(R) @ (np.array(shape.size) / 2)

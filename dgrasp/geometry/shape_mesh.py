@@ -39,7 +39,7 @@ def shape_mesh(shape: Shape) -> tuple[Array, Array]:
             raise ValueError(f"a shape of kind {shape.kind!r} needs a file")
         from dgrasp.geometry.inertia import load_mesh
 
-        mesh = load_mesh(shape.file)
+        mesh = load_mesh(shape.file, shape.scale)
         mesh = mesh.convex_hull if shape.kind == "hull" else mesh
         return _placed(shape, np.asarray(mesh.vertices), np.asarray(mesh.faces))
     triangles = made.to_mesh64()

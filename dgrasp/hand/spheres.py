@@ -81,7 +81,7 @@ def _spheres(shape: Shape) -> tuple[Array, float]:
     if shape.kind == "hull":
         import trimesh  # Imported late: it takes a second.
 
-        return np.array(trimesh.load_mesh(shape.file).vertices), 0.0
+        return np.array(trimesh.load_mesh(shape.file).vertices) * np.array(shape.scale), 0.0
     if shape.kind != "box":
         raise DataError(f"a hand with a {shape.kind} as collision shape; expected capsules, boxes and hulls")
     grids = [np.linspace(-s / 2, s / 2, max(2, int(np.ceil(s / _FACE_SPACING)) + 1)) for s in shape.size]

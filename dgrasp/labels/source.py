@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
@@ -17,7 +17,7 @@ from dgrasp.hand.mano.layout import MANO_NAMES
 from dgrasp.labels.formats import official
 from dgrasp.labels.formats.native import names_of, read_native_with_meta
 from dgrasp.labels.splits import object_set
-from dgrasp.objects.names import nearest, resolve_object
+from dgrasp.objects.names import resolve_object
 from dgrasp.types import GraspLabel
 
 
@@ -155,11 +155,14 @@ def published_as(name: str) -> tuple[str, str] | None:
     return files.get(name)
 
 
-def select(labels: LabelSet, objects: Sequence[str] = (), limit_per_object: int | None = None) -> LabelSet:
+def select(
+    labels: LabelSet, objects: Sequence[str] = (), limit_per_object: int | None = None,
+    added: Collection[str] = (),
+) -> LabelSet:
     """Select the labels of `objects` (all if empty), at most the first `limit_per_object` of each, in their order.
 
-    Objects are given as `resolve_object` takes them, or as sets (`splits.object_set`). Raises `DataError` naming the
-    nearest object if one is unknown or has no label here.
+    Objects are given as `resolve_object` takes them, or as sets (`splits.object_set`). added: those of `objects` that
+    the user added. Raises `DataError` if an object is unknown or has no label here.
     """
     there = labels.objects
     wanted = set(there)
@@ -172,10 +175,11 @@ def select(labels: LabelSet, objects: Sequence[str] = (), limit_per_object: int 
                     raise DataError(f"{labels.source}: no label of an object of {name!r}; it has {', '.join(there)}")
                 wanted |= group
                 continue
-            full = name if name in there else resolve_object(name)
+            full = name if name in there or name in added else resolve_object(name)
             if full not in there:
-                raise DataError(f"{labels.source}: no label of {full!r}{nearest(full, there)}; "
-                                f"it has {', '.join(there)}")
+                known = "an object that was added" if name in added else "one of the 20 objects"
+                raise DataError(f"{labels.source}: no label of {full!r}, {known}; it has {', '.join(there)}; choose "
+                                f"one of these, or make labels with `dgrasp labels make --objects {full}`")
             wanted.add(full)
     taken: dict[str, int] = dict.fromkeys(there, 0)
     chosen = []

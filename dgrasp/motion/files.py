@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from dgrasp.errors import DataError
+from dgrasp.files import csv_text
 from dgrasp.files.pickles import HEADS
 from dgrasp.motion.paths import sample
 from dgrasp.motion.targets import TargetSet, easy_targets
@@ -71,7 +72,7 @@ def _npz(path: Path, raw: bytes) -> dict[str, Any]:
 
 def _text(path: Path, raw: bytes) -> dict[str, Any]:
     try:
-        text = raw.decode("utf-8-sig")
+        text = csv_text.decoded(raw)
     except UnicodeDecodeError:
         raise DataError(f"{path}: neither text nor .npz; {_EXPECTED}") from None
     if not text.lstrip().startswith("{"):
@@ -85,15 +86,15 @@ def _text(path: Path, raw: bytes) -> dict[str, Any]:
 
 def _csv(path: Path, text: str) -> dict[str, Any]:
     try:
-        rows = [row for row in csv.reader(io.StringIO(text)) if any(cell.strip() for cell in row)]
+        header, lines = csv_text.cells(text)
+        rows = [row for _, row in lines]
     except csv.Error as error:
         raise DataError(f"{path}: not CSV ({error}); {_EXPECTED}") from None
-    header = [cell.strip() for cell in rows[0]] if rows else []
     names = next((names for names in (_WORLD, _LABEL) if set(names) <= set(header)), None)
     if names is None:
         raise DataError(f"{path}: the first line has the columns {', '.join(header)[:200] or 'nothing'}; {_EXPECTED}")
     values = []
-    for number, row in enumerate(rows[1:]):
+    for number, row in enumerate(rows):
         try:
             values.append([float(row[header.index(name)]) for name in (*names, *(["t"] if "t" in header else []))])
         except (ValueError, IndexError):

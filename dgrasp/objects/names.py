@@ -30,6 +30,8 @@ YCB_NAMES: dict[int, str] = {
     21: "061_foam_brick",
 }
 """DexYCB's object ids. 19, the large clamp, is in none of its grasps."""
+LARGE_CLAMP = "051_large_clamp"
+_LARGE_CLAMP_WORDS = (LARGE_CLAMP, "051", "19", "large_clamp")
 
 
 def nearest(word: str, choices: Iterable[str]) -> str:
@@ -49,6 +51,10 @@ def resolve_object(name: str | int) -> str:
     text = str(name).strip()
     if text in YCB_NAMES.values():
         return text
+    if text in _LARGE_CLAMP_WORDS:
+        raise DataError(f"{text!r}: {LARGE_CLAMP} is object 19 of DexYCB, which has no grasps of it, and none of the "
+                        f"20 objects of the paper ({', '.join(YCB_NAMES.values())}); choose one of these, or add "
+                        f"its mesh with `dgrasp object add MESH --name {LARGE_CLAMP}` and make labels")
     if text.isascii() and text.isdigit():
         if len(text) == 3:
             for full in YCB_NAMES.values():

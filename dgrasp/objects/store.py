@@ -46,6 +46,11 @@ class StoredObject:
     id: str
 
 
+def is_added(name: str, folders: Sequence[Path]) -> bool:
+    """Whether one of the folders has an added object of that name."""
+    return NAME.fullmatch(name) is not None and any(os.path.isfile(folder / name / META_FILE) for folder in folders)
+
+
 def find_object(name: str, folders: Sequence[Path]) -> StoredObject:
     """An added object, from the first of `folders` that has it.
 

@@ -11,6 +11,7 @@ import pytest
 from dgrasp.cli import COMMANDS
 from dgrasp.config import names
 from dgrasp.files.paths import shipped_root
+from dgrasp.labels.recorded.published import PUBLISHED
 from dgrasp.methods import METHODS
 from dgrasp.tables.plan import _PLANS
 
@@ -78,4 +79,4 @@ def test_a_refusal_does_not_load_torch(words: list[str], said: str, tmp_path: Pa
 
 def test_the_names_that_help_shows_are_those_of_the_code() -> None:
     assert set(names.BASELINES) == METHODS.keys() - {"policy"} and list(names.BASELINES) == sorted(names.BASELINES)
-    assert tuple(_PLANS) == names.TABLES
+    assert tuple(_PLANS) == names.TABLES and tuple(PUBLISHED) == names.MANO_SOURCES

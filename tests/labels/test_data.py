@@ -170,6 +170,16 @@ def test_messages(tmp_path: Path, values: dict[str, Any], message: str) -> None:
         resolve(config(**filled))
 
 
+def test_an_added_object_without_labels(tmp_path: Path) -> None:
+    folder = release(tmp_path / "r") / "objects" / "my_mug"
+    folder.mkdir(parents=True)
+    (folder / "object.json").write_text("{}")
+    with pytest.raises(DataError, match="no label of 'my_mug', an object that was added"):
+        resolve(config(data=str(tmp_path / "r"), labels={"objects": ["my_mug"]}))
+    with pytest.raises(DataError, match="051_large_clamp is object 19 of DexYCB, which has no grasps"):
+        resolve(config(data=str(tmp_path / "r"), labels={"objects": ["051_large_clamp"]}))
+
+
 def test_where_it_looked(tmp_path: Path, home: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("DEX_YCB_DIR", str(recordings(tmp_path / "raw")))
     with pytest.raises(DataError) as caught:

@@ -27,12 +27,12 @@ from dgrasp.labels.recorded.skips import Skip
 from tests.hand.mano_file import pickled
 from tests.labels.files import make_labels
 from tests.labels.mini_dexycb import make_mini, mano_files, standard
-from tests.labels.test_fuzz import hostile_streams, in_extension_registry, mutate  # noqa: F401
+from tests.labels.test_fuzz import hostile_streams, in_extension_registry, mutate, rewrite  # noqa: F401
 from tests.labels.test_ho3d import annotation, text_protocol
 from tests.labels.test_mano_tables import GIVEN, table, write_csv
 
-N = int(os.environ.get("DGRASP_FUZZ", "200"))
-"""Mutated files of each kind; there are eleven kinds."""
+N = int(os.environ.get("DGRASP_FUZZ", "2000"))
+"""Mutated files of each kind; there are 14 kinds."""
 GIGABYTE = 2**20
 """In the unit of `ru_maxrss`, kilobytes."""
 
@@ -67,7 +67,7 @@ def fuzz(path: Path, read: Callable[[], Any], seed: int, least: float, raw: byte
     assert not refused(read, path)
     count = 0
     for _ in range(N):
-        path.write_bytes(mutate(raw, rng))
+        rewrite(path, mutate(raw, rng))
         count += refused(read, path)
     assert count >= least * N
 
@@ -93,6 +93,7 @@ def test_poses_with_mutated_members(recording: Sequence) -> None:
     rng, count = np.random.default_rng(3), 0
     for _ in range(N):
         victim = str(rng.choice(sorted(members)))
+        path.unlink()
         with zipfile.ZipFile(path, "w") as archive:
             for name, raw in members.items():
                 archive.writestr(name, mutate(raw, rng) if name == victim else raw)
@@ -108,8 +109,9 @@ def test_calibrations(recording: Sequence, tmp_path: Path) -> None:
     fuzz(hand, lambda: Calibration(root).betas(recording.mano), 5, 0.3)
 
 
-@pytest.mark.parametrize("form", [pickled, text_protocol, lambda content: pickle.dumps(content, 4)],
-                         ids=["python 2", "text", "python 3"])
+@pytest.mark.parametrize("form", [pickled, text_protocol, lambda content: pickle.dumps(content, 4),
+                                  lambda content: pickle.dumps(content, 0), lambda content: pickle.dumps(content, 5)],
+                         ids=["python 2", "text", "python 3", "protocol 0", "protocol 5"])
 def test_annotations(tmp_path: Path, form: Callable[[Any], bytes]) -> None:
     mini, _, _ = make_mini(tmp_path / "dex")
     path = tmp_path / "0.pkl"
@@ -132,7 +134,7 @@ def test_mano_files(tmp_path: Path) -> None:
     count = 0
     # They are large, so fewer; and only the structure in front is worth much.
     for _ in range(N // 10):
-        path.write_bytes(mutate(raw, rng))
+        rewrite(path, mutate(raw, rng))
         count += refused(lambda: read_mano(path), path)
     assert count > 0
 
@@ -143,7 +145,7 @@ def test_cached_labels(tmp_path: Path) -> None:
     (path,) = tmp_path.iterdir()
     raw, rng = path.read_bytes(), np.random.default_rng(9)
     for _ in range(N):
-        path.write_bytes(mutate(raw, rng))
+        rewrite(path, mutate(raw, rng))
         found = cache.get(key)
         assert found is None or isinstance(found, Skip) or np.isfinite(found.T_WH).all()
 
@@ -159,7 +161,7 @@ def test_nothing_is_executed(
                 ("in a text dictionary", b"(dS'handPose'\ncos\nsystem\n(S'" + command + b"'\ntRs.")]
     monkeypatch.setattr(os, "system", called.append)
     for name, raw in streams:
-        path.write_bytes(raw)
+        rewrite(path, raw)
         assert refused(lambda: read_annotation(path), path), name
         assert not marker.exists() and not called, name
     evil = tmp_path / "a.yml"

@@ -259,3 +259,33 @@ def test_bad_csv(tmp_path: Path, text: str, message: str) -> None:
     with pytest.raises(DataError) as caught:
         read_mano_table(tmp_path / "a.csv")
     assert message in str(caught.value) and str(tmp_path / "a.csv") in str(caught.value)
+
+
+CSV = "object,transl_0,transl_1,transl_2,betas_0\n004,0.5,-1.25e-1,2,0\n061,1,2.5,3,-0.75\n"
+GERMAN = CSV.replace(",", ";").replace(".", ",")
+
+
+@pytest.mark.parametrize(
+    "raw",
+    [
+        CSV.encode(), CSV.replace("\n", "\r\n").encode("utf-8-sig"), CSV.encode("utf-16"), GERMAN.encode(),
+        GERMAN.encode("utf-16"), CSV.replace(",", "\t").encode(), CSV.replace(",", ";").encode(),
+        ("sep=;\r\n" + GERMAN).encode(), CSV.replace(",", "\t").replace(".", ",").encode("utf-8-sig"),
+        b",object,transl_0,transl_1,transl_2,betas_0\n0,004,0.5,-1.25e-1,2,0\n1,061,1,2.5,3,-0.75\n",
+        b"Unnamed: 0;object;transl_0;transl_1;transl_2;betas_0\n0;004;0,5;-1,25e-1;2;0\n1;061;1;2,5;3;-0,75\n",
+        b'"object","transl_0","transl_1","transl_2","betas_0"\n"004","0.5","-0.125","2","0"\n\n'
+        b"061, 1, 2.5, 3, -0.75\n,,,,\n",
+    ],
+    ids=range(12),
+)  # fmt: skip
+def test_csv_of_spreadsheets_and_pandas(tmp_path: Path, raw: bytes) -> None:
+    (tmp_path / "a.csv").write_bytes(raw)
+    found = read_mano_table(tmp_path / "a.csv")
+    assert found.objects == ["004_sugar_box", "061_foam_brick"]
+    np.testing.assert_array_equal(found.values["transl"], [[0.5, -0.125, 2.0], [1.0, 2.5, 3.0]])
+    np.testing.assert_array_equal(found.values["betas"], [[0.0], [-0.75]])
+
+
+def test_csv_in_windows_encoding(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_bytes("object;transl_0;transl_1;transl_2\ntassé;1;2;3\n".encode("cp1252"))
+    assert read_mano_table(tmp_path / "a.csv", known=lambda name: name).objects == ["tassé"]

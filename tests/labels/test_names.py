@@ -32,6 +32,12 @@ def test_unknown_name_gets_the_nearest(name: str, hint: str) -> None:
         resolve_object(name)
 
 
+@pytest.mark.parametrize("name", ["051_large_clamp", "051", "19", 19])
+def test_the_large_clamp_has_no_grasps(name: str | int) -> None:
+    with pytest.raises(DataError, match="051_large_clamp is object 19 of DexYCB, which has no grasps of it"):
+        resolve_object(name)
+
+
 @pytest.mark.parametrize("name", ["19", "0", "999", "051", "", "1234567890", "\u0663", "zzzz", -1])
 def test_unknown_name_lists_what_is_known(name: str | int) -> None:
     with pytest.raises(DataError, match="061"):

@@ -47,8 +47,8 @@ def test_other_files_are_refused(tmp_path: Path, raw: bytes) -> None:
 def test_a_new_format_and_a_new_source_are_an_entry_each(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     mine = LabelSource("mine", {"train": "mine_train.txt"}, "my terms", False)
     monkeypatch.setitem(source.RELEASED, "mine", mine)
-    content = FileContent(make_labels(), "free", MANO_NAMES, None)
-    read = LabelFormat(b"mine", "a text file", "a .txt of mine", lambda path: content)
+    read = LabelFormat(b"mine", "a text file", "a .txt of mine",
+                       lambda path: FileContent(make_labels(), "free", MANO_NAMES, None))
     monkeypatch.setattr(source, "FORMATS", (*source.FORMATS, read))
     (tmp_path / "mine_train.txt").write_bytes(b"mine: 1")
     labels = load_labels(tmp_path / "mine_train.txt")
@@ -94,5 +94,12 @@ def test_select_names_the_nearest(labels: LabelSet) -> None:
     with pytest.raises(DataError, match="did you mean '004_sugar_box'"):
         select(labels, ["004_suger_box"])
     there = "021_bleach_cleanser, 004_sugar_box, 025_mug"
-    with pytest.raises(DataError, match=rf"no label of '011_banana'.*it has {there}"):
+    with pytest.raises(DataError, match=rf"no label of '011_banana', one of the 20 objects; it has {there}"):
         select(labels, ["011_banana"])
+
+
+def test_select_says_that_an_added_object_has_no_labels(labels: LabelSet) -> None:
+    with pytest.raises(DataError) as caught:
+        select(labels, ["my_mug"], added=["my_mug"])
+    assert "no label of 'my_mug', an object that was added; it has 021_bleach_cleanser" in str(caught.value)
+    assert "dgrasp labels make --objects my_mug" in str(caught.value) and "did you mean" not in str(caught.value)

@@ -108,3 +108,11 @@ def test_bad_bytes(tmp_path: Path) -> None:
     np.savez(path, position=np.array([object()]), quaternion=np.ones((1, 4)), frame="label")
     with pytest.raises(DataError, match="plain arrays"):
         read_targets(path, PERIOD)
+
+
+def test_csv_of_spreadsheets_and_pandas(tmp_path: Path) -> None:
+    for raw in (",x,y,z,qw,qx,qy,qz\n0,0.5,0.25,1,1,0,0,0\n".encode("utf-16"),
+                b"x;y;z;qw;qx;qy;qz\r\n0,5;0,25;1;1;0;0;0\r\n"):
+        (tmp_path / "a.csv").write_bytes(raw)
+        T = read_targets(tmp_path / "a.csv", 0.01).T
+        np.testing.assert_array_equal(T[0, 0, :3, 3], [0.5, 0.25, 1.0])

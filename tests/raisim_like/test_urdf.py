@@ -179,10 +179,11 @@ def test_bad_files_are_one_error_that_names_the_file(tmp_path: Path, name: str) 
     assert message.startswith(str(tmp_path / "robot.urdf")) and part in message and "\n" not in message
 
 
-def test_scaled_meshes_are_refused(tmp_path: Path) -> None:
+def test_bad_scales_are_refused(tmp_path: Path) -> None:
     (tmp_path / "part.obj").write_text("v 0 0 0\n")
-    with pytest.raises(UrdfError, match="scaled"):
-        read(tmp_path, body(collision('<mesh filename="part.obj" scale="2 2 2"/>')))
+    for scale, message in (("2 0 2", "other than zero"), ("2", "expected 3"), ("1 1 nan", "expected 3")):
+        with pytest.raises(UrdfError, match=message):
+            read(tmp_path, body(collision(f'<mesh filename="part.obj" scale="{scale}"/>')))
 
 
 def test_files_that_cannot_be_read(tmp_path: Path) -> None:

@@ -57,13 +57,15 @@ def check_finite(rows: Array, name: str, where: Where) -> None:
 def check_positions(rows: Array, name: str, where: Where) -> None:
     """Check that all coordinates of (n, ...) are within `MAX_POSITION` of the origin."""
     require(_all(np.abs(rows) <= MAX_POSITION), where,
-            f"{name} lies beyond {MAX_POSITION:g} m; expected metres", "convert the file to metres")
+            f"{name} lies beyond {MAX_POSITION:g} m, as millimetres would; expected metres",
+            "convert the file to metres (millimetres: multiply by 0.001)")
 
 
 def check_angles(rows: Array, name: str, where: Where) -> None:
     """Check that all angles of (n, ...) are within `MAX_ANGLE`."""
     require(_all(np.abs(rows) <= MAX_ANGLE), where,
-            f"{name} has an angle beyond 2 pi; expected radians", "convert the file to radians")
+            f"{name} has an angle beyond 2 pi, as degrees would; expected radians",
+            "convert the file to radians (degrees: multiply by pi / 180)")
 
 
 def check_contacts(rows: Array, name: str, where: Where) -> Array:

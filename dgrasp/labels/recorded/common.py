@@ -25,7 +25,8 @@ _T = TypeVar("_T")
 def add_common(parser: argparse.ArgumentParser, objects: str) -> None:
     """Add the options of all kinds of import. objects: remark in the help of `--objects`, such as its default."""
     parser.add_argument("--mano", type=Path, required=True, metavar="FILE",
-                        help="MANO_RIGHT.pkl, the model with which the source's hands were fitted")
+                        help="MANO_RIGHT.pkl, with which the source's hands were fitted; or a hand in MANO's layout "
+                             "as .npz")
     parser.add_argument("--hand", required=True, metavar="HAND",
                         help="the hand for which labels are made: a folder written by `dgrasp hand build`, or a "
                              "release's hand/mano_mean.urdf")
@@ -35,7 +36,10 @@ def add_common(parser: argparse.ArgumentParser, objects: str) -> None:
 
 
 def make_maker(arguments: argparse.Namespace, folders: list[Path]) -> LabelMaker:
-    """The label maker that the options describe. folders: where meshes are looked for without `--objects`."""
+    """The label maker that the options describe. folders: where meshes are looked for without `--objects`.
+
+    Objects that `dgrasp object add` wrote are always found.
+    """
     out = arguments.out
     if out.suffix != ".npz" or not out.parent.is_dir():
         raise DataError(f"--out {out}: expected the name of a .npz file in a folder that exists")
@@ -43,10 +47,11 @@ def make_maker(arguments: argparse.Namespace, folders: list[Path]) -> LabelMaker
     from dgrasp.hand.mano.file import read_mano
     from dgrasp.labels.recorded.making import LabelMaker, target_hand
     from dgrasp.labels.recorded.surfaces import Surfaces
+    from dgrasp.objects.store import default_store
 
     model = read_mano(arguments.mano)
     chosen = [arguments.objects] if arguments.objects is not None else folders
-    return LabelMaker(target_hand(arguments.hand, model), model, Surfaces(chosen))
+    return LabelMaker(target_hand(arguments.hand, model), model, Surfaces([*chosen, default_store()]))
 
 
 def progress(items: list[_T], what: str) -> Iterable[_T]:

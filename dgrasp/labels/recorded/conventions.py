@@ -59,6 +59,7 @@ def read_grasps(table: ManoTable, model: ManoModel, given: Answers, mean_shape: 
         raise DataError(f"{table.path}: has betas; expected no --mean-shape then")
     betas = np.zeros((n, 1)) if mean_shape else table.values["betas"]
     wrist_joints(model, betas)
+    _check_units(table, given)
     implied = _implied(table)
     for question, answer in implied.items():
         if given.get(question, answer) != answer:
@@ -74,12 +75,29 @@ def read_grasps(table: ManoTable, model: ManoModel, given: Answers, mean_shape: 
     return TableGrasps(T_AH, hand_pose, T_AO, betas, notes)
 
 
+def _check_units(table: ManoTable, given: Answers) -> None:
+    """Radians and metres: a `DataError` names the first row in what looks like degrees or millimetres."""
+    def where(row: int) -> str:
+        return f"{table.path}: row {row}"
+
+    pose = table.values.get("hand_pose", np.zeros((0, 0)))
+    turns = {"global_orient": 3, "object_rotation": 3} | ({"hand_pose": 45} if given.get("pose") != "pca" else {})
+    for name, width in turns.items():
+        rows = table.values.get(name, pose[:, :0])
+        if rows.shape[1] == width:
+            checks.check_angles(rows, name, where)
+    for name in ("transl", "object_translation", "joints"):
+        if name in table.values:
+            checks.check_positions(table.values[name], name, where)
+
+
 def _implied(table: ManoTable) -> Answers:
     """The answers that follow from the shapes of the data."""
     pose = table.need("hand_pose", "give the finger pose")
     if pose.shape[1] < 45:
         return {"pose": "pca", "fingers": "mano"}
-    return {}
+    # A matrix is the whole rotation of its joint: there is no mean to be added to.
+    return {"pose": "axis-angle", "mean": "flat"} if table.matrices else {}
 
 
 def _readings(known: Answers) -> Iterator[Answers]:

@@ -7,27 +7,32 @@ differ, `dgrasp.labels.recorded.conventions` asks for the meaning of a column or
 from __future__ import annotations
 
 import csv
-import io
 import re
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from dgrasp.errors import DataError
+from dgrasp.files import csv_text
 from dgrasp.files.arrays import plain_text
 from dgrasp.files.npz import open_npz
+from dgrasp.labels.recorded.published import Published, rotation_vectors
 from dgrasp.objects.names import resolve_object
 from dgrasp.types import Array
 
 MAX_BYTES = 16 * 2**20
 MAX_ROWS = 20_000
 WIDTHS: dict[str, tuple[int, ...]] = {
-    "params": (61,), "global_orient": (3,), "hand_pose": tuple(range(1, 46)), "transl": (3,),
+    "params": (61,), "global_orient": (3, 6, 9), "hand_pose": (*range(1, 46), 90, 135), "transl": (3,),
     "betas": tuple(range(1, 11)), "object_rotation": (3, 4, 9), "object_translation": (3,), "hand_transform": (16,),
     "joints": tuple(range(48, 301, 3)),
 }
 """The quantities and how many numbers each may have per row; matrices are row by row.
+
+Rotations of the wrist and the 15 finger joints may be matrices (9 numbers) or 6D (6), as image estimators give them.
 
 `params` stands for betas 10, global_orient 3, hand_pose 45 and transl 3 in this order.
 """
@@ -38,11 +43,16 @@ _FORM = "expected arrays or columns object, betas, global_orient, hand_pose, tra
 
 @dataclass(frozen=True, eq=False)
 class ManoTable:
-    """A table of n rows as it was read. values: quantity -> (n, width) float64. objects (n,): names."""
+    """A table as it was read. values: quantity to (n, width) float64. objects (n,): names. n: rows.
+
+    matrices: the finger pose was given as rotations, which are read as rotation vectors. scale: of the objects' meshes.
+    """
 
     path: Path
     values: dict[str, Array]
     objects: list[str]
+    matrices: bool = False
+    scale: float | None = None
 
     def __len__(self) -> int:
         return len(self.objects)
@@ -54,9 +64,14 @@ class ManoTable:
         return self.values[name]
 
 
-def read_mano_table(path: Path, object_name: str | None = None) -> ManoTable:
-    """Read the table of a .npz or .csv file. object_name: of all rows, if the file has no `object`.
+def read_mano_table(
+    path: Path, object_name: str | None = None, known: Callable[[str], str] = resolve_object,
+    published: Published | None = None, rows_of_6d: bool = False, scale: float | None = None,
+) -> ManoTable:
+    """The table of a .npz or .csv file. object_name: of all rows where the file has no `object`.
 
+    known: the full name of an object, or a `DataError`. published: the source that wrote the file, which may have a
+    form of its own. rows_of_6d: 6D rotations are rows, not columns, of a matrix. scale: take the rows of this scale.
     Raises `DataError` naming the file and the quantity or line for anything that does not fit.
     """
     path = Path(path)
@@ -65,7 +80,20 @@ def read_mano_table(path: Path, object_name: str | None = None) -> ManoTable:
             head = stream.read(2)
     except OSError as error:
         raise DataError(f"{path}: cannot be read ({error.strerror or error})") from None
-    values, names = _read_npz(path) if head == b"PK" else _read_csv(path)
+    columns = None if published is None else published.read(path)
+    if columns is None:
+        columns = _read_npz(path, published) if head == b"PK" else _read_csv(path)
+    if published is not None:
+        try:
+            columns = published.adapt(columns)
+        except DataError as error:
+            raise DataError(f"{path}: {error}") from None
+    scales = np.asarray(columns.pop("scale", np.zeros(0)))
+    if scales.size:
+        columns, scale = _of_scale(path, columns, scales, scale)
+    names = columns.pop("object", None)
+    matrices = np.asarray(columns.get("hand_pose", [])).size > 45 * len(columns.get("hand_pose", []))
+    values = {name: _checked(path, name, array, rows_of_6d) for name, array in columns.items()}
     rows = {name: len(array) for name, array in values.items()}
     n = max(rows.values(), default=0)
     if n == 0 or set(rows.values()) != {n}:
@@ -86,18 +114,33 @@ def read_mano_table(path: Path, object_name: str | None = None) -> ManoTable:
         raise DataError(f"{path}: has a column `object`; expected no --object then")
     if len(names) != n:
         raise DataError(f"{path}: {len(names)} names of objects for {n} rows; expected one per row")
-    known: dict[str, str] = {}
+    full: dict[str, str] = {}
     for row, name in enumerate(names):
-        if name not in known:
+        if name not in full:
             try:
-                known[name] = resolve_object(name)
+                full[name] = known(name)
             except DataError as error:
-                raise DataError(f"{path}: row {row}: {str(error)[:300]}") from None
-    return ManoTable(path, values, [known[name] for name in names])
+                raise DataError(f"{path}: row {row}: {str(error)[:400]}") from None
+    return ManoTable(path, values, [full[name] for name in names], matrices, scale)
 
 
-def _checked(path: Path, name: str, array: Array) -> Array:
-    """(n, width) float64 of one quantity."""
+def _of_scale(path: Path, columns: dict[str, Any], scales: Array, scale: float | None) -> tuple[dict[str, Any], float]:
+    """The rows of one scale, as an object has one size."""
+    there = sorted(set(scales.round(6).tolist()))
+    if scale is None and len(there) > 1:
+        raise DataError(f"{path}: grasps at the scales {', '.join(f'{s:g}' for s in there)[:200]}; an object has one "
+                        "size: choose one with --scale")
+    chosen = there[0] if scale is None else scale
+    mine = np.abs(scales - chosen) < 1e-6
+    if not mine.any():
+        raise DataError(f"{path}: no grasp at the scale {chosen:g}; it has {', '.join(f'{s:g}' for s in there)[:200]}")
+    return {name: np.asarray(values)[mine] for name, values in columns.items()}, chosen
+
+
+def _checked(path: Path, name: str, array: Any, rows_of_6d: bool) -> Array:
+    """(n, width) float64 of one quantity; rotations of the hand as rotation vectors."""
+    if not isinstance(array, np.ndarray) or array.dtype.kind not in "biuf":
+        raise DataError(f"{path}: {name} is no array of numbers; {_FORM}")
     if array.ndim < 2 or array.ndim > 4 or len(array) > MAX_ROWS:
         raise DataError(f"{path}: {name} has shape {array.shape}; expected (rows, numbers), at most {MAX_ROWS} rows")
     if not len(array):
@@ -111,62 +154,75 @@ def _checked(path: Path, name: str, array: Array) -> Array:
     bad = np.flatnonzero(~(np.abs(flat) <= 1e4).all(axis=1))
     if bad.size:
         raise DataError(f"{path}: row {bad[0]}: {name} holds NaN, infinity or a number beyond 1e4; remove the row")
+    if (name == "global_orient" and flat.shape[1] > 3) or (name == "hand_pose" and flat.shape[1] > 45):
+        try:
+            return rotation_vectors(flat, rows_of_6d)
+        except ValueError as error:
+            raise DataError(f"{path}: {error}: {name} holds a matrix that is no rotation; expected orthonormal "
+                            "matrices with determinant 1, or 6D rotations") from None
     return flat
 
 
-def _read_npz(path: Path) -> tuple[dict[str, Array], list[str] | None]:
-    values: dict[str, Array] = {}
-    names = None
+def _read_npz(path: Path, published: Published | None) -> dict[str, Any]:
+    """Quantity to array, and `object` to a list of names. A published file may hold more, which is not read."""
+    values: dict[str, Any] = {}
     with open_npz(path, "table", MAX_BYTES) as archive:
-        for file in archive.names:
-            name = file.removesuffix(".npy")
-            if archive.names.count(file) > 1 or (name not in WIDTHS and name != "object") or name == file:
-                raise DataError(f"{path}: unknown or duplicate member {file[:60]!r}; {_FORM}")
+        own = [*WIDTHS, "object"]
+        order = own if published is None else [*own, *published.names]
+        # A quantity under its own name goes before others of it, and these in the order of the source.
+        for file in sorted(archive.names, key=lambda file: (*order, file).index(file.removesuffix(".npy"))
+                           if file.removesuffix(".npy") in order else len(order)):
+            inside = file.removesuffix(".npy")
+            name = inside if published is None else published.names.get(inside, inside)
+            if published is not None and name in ("right", "is_right", "scale"):
+                values[name] = archive.read(inside, "biuf")
+                continue
+            if published is not None and (name in values or name not in (*WIDTHS, "object")):
+                continue
+            if archive.names.count(file) > 1 or (name not in WIDTHS and name != "object") or inside == file:
+                raise DataError(f"{path}: unknown or doubled member {file[:60]!r}; {_FORM}")
             if name == "object":
-                array = archive.read(name, "USOiu")
+                array = archive.read(inside, "USOiu")
                 if array.ndim != 1 or len(array) > MAX_ROWS or array.dtype.itemsize > 800:
                     raise DataError(f"{path}: object has shape {array.shape} of {array.dtype.str[:20]}; expected one "
                                     "name per row")
                 found = [str(v) if isinstance(v, (int, np.integer)) else plain_text(v) for v in array]
-                names = [v for v in found if v is not None]
-                if len(names) < len(found):
+                values[name] = [v for v in found if v is not None]
+                if len(values[name]) < len(found):
                     raise DataError(f"{path}: row {found.index(None)}: object is no text; expected one name per row")
             else:
-                values[name] = _checked(path, name, archive.read(name, "biuf"))
-    return values, names
+                values[name] = archive.read(inside, "biuf")
+    return values
 
 
-def _read_csv(path: Path) -> tuple[dict[str, Array], list[str] | None]:
+def _read_csv(path: Path) -> dict[str, Any]:
     try:
         if path.stat().st_size > MAX_BYTES:
             raise DataError(f"{path}: {path.stat().st_size} bytes; a table has at most {MAX_BYTES}; split it")
-        text = path.read_text(encoding="utf-8-sig")
-        rows = csv.reader(io.StringIO(text, newline=""), strict=True)
-        header = [cell.strip() for cell in next(rows, [])]
+        header, rows = csv_text.cells(csv_text.decoded(path.read_bytes()))
         where = _columns(path, header)
         cells: list[list[float]] = []
         names: list[str] = []
-        for row in rows:
-            if not row:
-                continue
+        for line, row in rows:
             if len(row) != len(header) or len(cells) >= MAX_ROWS:
-                raise DataError(f"{path}: line {rows.line_num}: {len(row)} cells; expected {len(header)} in each of at "
+                raise DataError(f"{path}: line {line}: {len(row)} cells; expected {len(header)} in each of at "
                                 f"most {MAX_ROWS} lines")
-            names.append(row[header.index("object")].strip() if "object" in header else "")
+            names.append(row[header.index("object")] if "object" in header else "")
             try:
                 cells.append([float(row[i]) for columns in where.values() for i in columns])
             except ValueError as error:
-                raise DataError(f"{path}: line {rows.line_num}: {str(error)[:100]}; expected numbers") from None
+                raise DataError(f"{path}: line {line}: {str(error)[:100]}; expected numbers") from None
     except OSError as error:
         raise DataError(f"{path}: cannot be read ({error.strerror or error})") from None
     except (UnicodeDecodeError, csv.Error) as error:
         raise DataError(f"{path}: neither .npz nor .csv ({str(error)[:100]}); {_FORM}") from None
     table = np.array(cells, dtype=np.float64).reshape(len(cells), sum(map(len, where.values())))
-    values, at = {}, 0
+    values: dict[str, Any] = {}
+    at = 0
     for name, columns in where.items():
-        values[name] = _checked(path, name, table[:, at : at + len(columns)])
+        values[name] = table[:, at : at + len(columns)]
         at += len(columns)
-    return values, names if "object" in header else None
+    return values | ({"object": names} if "object" in header else {})
 
 
 def _columns(path: Path, header: list[str]) -> dict[str, list[int]]:

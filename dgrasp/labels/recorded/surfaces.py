@@ -15,12 +15,15 @@ from dgrasp.hand.mano.skeleton import N_PARTS
 from dgrasp.hand.spheres import CONTACT_DISTANCE
 from dgrasp.labels.source import sha256_of
 from dgrasp.objects.body import DETAILED_MESH
-from dgrasp.objects.store import MESH_FILE
+from dgrasp.objects.names import YCB_NAMES, resolve_object
+from dgrasp.objects.store import MESH_FILE, NAME
 from dgrasp.types import Array
 
-MESHES = ("textured_simple.obj", DETAILED_MESH, MESH_FILE)
-"""An object's mesh in DexYCB's `models/NAME/`, a release's `objects/NAME/` and the folder of an object that `dgrasp
-object add` wrote, in the order of preference."""
+MESHES = ("textured_simple.obj", DETAILED_MESH, MESH_FILE, "coacd/decomposed.obj")
+"""An object's mesh in DexYCB's `models/NAME/`, a release's `objects/NAME/`, the folder of an object that `dgrasp object
+add` wrote, and DexGraspNet's `meshdata/NAME/`, in the order of preference."""
+NORMALISED = 0.5
+"""m. A mesh that is longer, where a data set gives its scale, is of unit size and is multiplied by the scale."""
 SPACING = 0.005
 """m. Edges of a mesh are halved until they are this short: the large faces of a box have no vertices of their own."""
 MAX_POINTS, MAX_FILE_BYTES = 1_000_000, 64 * 2**20
@@ -60,11 +63,27 @@ class Surface:
 
 @dataclass
 class Surfaces:
-    """The objects' surfaces, each read on first use. folders: where NAME/ with a mesh is looked for."""
+    """The objects' surfaces, each read when it is first asked for. folders: where NAME/ with a mesh is looked for.
+
+    scale: of meshes of unit size, where a data set has them.
+    """
 
     folders: Sequence[Path]
+    scale: float | None = None
     _read: dict[str, Surface] = field(default_factory=dict)
     _hashes: dict[str, str] = field(default_factory=dict)
+
+    def known(self, name: str) -> str:
+        """The full name of one of the 20 objects, or of one with a mesh in the folders; else a `DataError`."""
+        there = NAME.fullmatch(name) and any((Path(folder) / name / file).is_file() for folder in self.folders
+                                             for file in MESHES)
+        if there and name not in YCB_NAMES.values():
+            return name
+        try:
+            return resolve_object(name)
+        except DataError as error:
+            raise DataError(f"{error}; an object of your own is looked for in "
+                            f"{' and '.join(map(str, self.folders))}: add its mesh with `dgrasp object add`") from None
 
     def mesh(self, name: str) -> Path:
         """The object's mesh file. If there is none, raises `DataError` that says where it was looked for."""
@@ -83,18 +102,22 @@ class Surfaces:
 
     def __getitem__(self, name: str) -> Surface:
         if name not in self._read:
-            self._read[name] = read_surface(self.mesh(name))
+            self._read[name] = read_surface(self.mesh(name), self.scale)
         return self._read[name]
 
 
-def read_surface(path: Path) -> Surface:
-    """Read the surface of a mesh file in m. Raises `DataError` for a damaged file, and for one in another unit."""
-    import trimesh  # Imported late: it takes a second.
+def read_surface(path: Path, scale: float | None = None) -> Surface:
+    """The surface of a mesh file in m. scale: of a mesh of unit size (`NORMALISED`).
+
+    Raises `DataError` for a damaged file, and for one in another unit."""
+    import trimesh  # Late: it takes a second.
     from scipy.spatial import cKDTree
 
     if path.is_file() and path.stat().st_size > MAX_FILE_BYTES:
         raise DataError(f"{path}: {path.stat().st_size} bytes; a mesh has at most {MAX_FILE_BYTES}; simplify it")
     mesh = load_mesh(path)
+    if scale is not None and float(np.ptp(np.asarray(mesh.vertices), axis=0).max()) > NORMALISED:
+        mesh.apply_scale(scale)
     vertices, faces = np.asarray(mesh.vertices), np.asarray(mesh.faces)
     extent = float(np.ptp(vertices, axis=0).max())
     if not 0.005 <= extent <= 1.0:

@@ -37,4 +37,4 @@ def geometry(shape: Shape) -> dict[str, Any]:
     if shape.kind in ("cylinder", "capsule"):
         return {"radius": shape.size[0], "height": shape.size[1]}
     flags = p.GEOM_FORCE_CONCAVE_TRIMESH if shape.kind == "mesh" else 0
-    return {"fileName": str(shape.file), "flags": flags}
+    return {"fileName": str(shape.file), "flags": flags, "meshScale": list(shape.scale)}

@@ -122,5 +122,6 @@ def _geometry(shape: Shape) -> str:
     elif shape.kind in ("cylinder", "capsule"):
         inner = f'<{shape.kind} radius="{size[0]}" length="{size[1]}"/>'
     else:
-        inner = f"<mesh filename={quoteattr(str(shape.file))}/>"
+        scale = " ".join(repr(float(v)) for v in shape.scale)
+        inner = f'<mesh filename={quoteattr(str(shape.file))} scale="{scale}"/>'
     return f"{_origin(shape_pose(shape))}<geometry>{inner}</geometry>"

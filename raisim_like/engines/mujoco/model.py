@@ -158,7 +158,7 @@ class _Maker:
             {body: item.mask for body, item in items.items()},
             {body: item.self_collision for body, item in items.items() if isinstance(item, System)},
         )
-        self.meshes: dict[str, str] = {}
+        self.meshes: dict[tuple[str, tuple[float, ...]], str] = {}
         self.geoms: dict[int, list[tuple[str, int]]] = {body: [] for body in items}
         self.elements: dict[int, list[Any]] = {
             body: self._solid(body, item) if isinstance(item, Solid) else self._system(body, item)
@@ -235,12 +235,13 @@ class _Maker:
 
     def _geometry(self, shape: Shape) -> dict[str, Any]:
         if shape.kind == "hull":
-            file = str(shape.file)
-            if file not in self.meshes:
-                self.meshes[file] = f"mesh{len(self.meshes)}"
+            key = (str(shape.file), shape.scale)
+            if key not in self.meshes:
+                self.meshes[key] = f"mesh{len(self.meshes)}"
                 # The bodies have explicit inertias; the mesh's own only has to exist.
-                self.spec.add_mesh(name=self.meshes[file], file=file, inertia=mj.mjtMeshInertia.mjMESH_INERTIA_CONVEX)
-            return {"meshname": self.meshes[file]}
+                self.spec.add_mesh(name=self.meshes[key], file=key[0], scale=shape.scale,
+                                   inertia=mj.mjtMeshInertia.mjMESH_INERTIA_CONVEX)
+            return {"meshname": self.meshes[key]}
         size = [v / 2 for v in shape.size]
         if shape.kind != "box":
             size[0] = shape.size[0]
