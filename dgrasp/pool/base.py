@@ -26,7 +26,14 @@ class PoolError(DGraspError):
 
 
 class WorkerLost(DGraspError):
-    """A worker died or hung in the middle of a test. Its environments are back, in a new worker: start over."""
+    """A worker died or hung in the middle of a test. Its environments are back, in a new worker: start over.
+
+    exit_code: the process's, where it died.
+    """
+
+    def __init__(self, message: str, exit_code: int | None = None) -> None:
+        super().__init__(message)
+        self.exit_code = exit_code
 
 
 @dataclass(frozen=True)
