@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import difflib
+import os
 import sys
 from collections.abc import Sequence
 from importlib import import_module
@@ -116,6 +117,7 @@ class _Parser(argparse.ArgumentParser):
 
 def run_command(name: str, arguments: Sequence[str], prog: str | None = None) -> int:
     """Run one command with its arguments; returns the exit code. train.py and test.py call this."""
+    _open_streams()
     try:
         try:
             module = import_module(COMMANDS[name])
@@ -139,6 +141,18 @@ def run_command(name: str, arguments: Sequence[str], prog: str | None = None) ->
     except KeyboardInterrupt:
         print("interrupted", file=sys.stderr)
         return EXIT_INTERRUPTED
+
+
+def _open_streams() -> None:
+    """Put the null device where stdin, stdout or stderr is closed, so that no other file gets its number."""
+    for number in (0, 1, 2):
+        try:
+            os.fstat(number)
+        except OSError:
+            os.set_inheritable(os.open(os.devnull, os.O_RDWR), True)
+    for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
+        if getattr(sys, name) is None:
+            setattr(sys, name, open(os.devnull, mode, encoding="utf-8"))  # noqa: SIM115 (open until the end)
 
 
 if __name__ == "__main__":

@@ -26,7 +26,14 @@ class PoolError(DGraspError):
 
 
 class WorkerLost(DGraspError):
-    """A worker died or hung during a test. A new worker has its environments; the test must start over."""
+    """A worker died or hung during a test. A new worker has its environments; the test must start over.
+
+    exit_code: of the process, if it died.
+    """
+
+    def __init__(self, message: str, exit_code: int | None = None) -> None:
+        super().__init__(message)
+        self.exit_code = exit_code
 
 
 @dataclass(frozen=True)

@@ -15,11 +15,10 @@ that of the other workers is kept.
 from __future__ import annotations
 
 import multiprocessing
-import os
 import pickle
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from dataclasses import dataclass
 from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
@@ -31,12 +30,12 @@ from dgrasp.control.motion import Fingers
 from dgrasp.env.grasp_env import Mode
 from dgrasp.pool.balance import costs, imbalance, stretches
 from dgrasp.pool.base import PoolError, PoolSpec, SizedPool, WorkerLost
+from dgrasp.pool.starting import check_main, lost_at_start, single_threaded
 from dgrasp.pool.worker import FAILED, QUIT, STEP, Shared, Told, shared_arrays, work
 from dgrasp.rl.collect import Actor, Trajectories
 from dgrasp.rl.step import Layout, Step
 from dgrasp.types import Array
 
-_THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 _POLL_S = 0.2
 """Interval (s) at which the main process checks the progress of a collection."""
 _LOSSES_IN_A_ROW = 3
@@ -56,25 +55,11 @@ class _Member:
     losses: int = 0
 
 
-@contextmanager
-def _single_threaded() -> Iterator[None]:
-    """Let workers started in this block inherit one BLAS thread each, because the workers already use all cores."""
-    before = {key: os.environ.get(key) for key in _THREAD_VARIABLES}
-    os.environ.update(dict.fromkeys(_THREAD_VARIABLES, "1"))
-    try:
-        yield
-    finally:
-        for key, value in before.items():
-            if value is None:
-                del os.environ[key]
-            else:
-                os.environ[key] = value
-
-
 class ProcessPool(SizedPool):
     """See `Pool`."""
 
     def __init__(self, spec: PoolSpec, workers: int) -> None:
+        check_main()
         super().__init__(spec)
         self._spec, self._deadline_s = spec, spec.config.pool.hang_s
         self._workers = max(1, min(workers, self.num_envs))
@@ -97,10 +82,12 @@ class ProcessPool(SizedPool):
             for w in range(self._workers):
                 self._members.append(self._new_member(w))
             for w in range(self._workers):
+                self._send_spec(w)
+            for w in range(self._workers):
                 self._receive(w, None)
         except WorkerLost as lost:
             self.close()
-            raise PoolError(f"{lost}; is there enough memory for its worlds?") from None
+            raise lost_at_start(lost) from None
         except BaseException:
             self.close()
             raise
@@ -108,12 +95,17 @@ class ProcessPool(SizedPool):
     def _new_member(self, w: int) -> _Member:
         context = multiprocessing.get_context("spawn")
         ours, theirs = context.Pipe()
-        arguments = (theirs, self._spec, w, self._workers, self._rows[w], self._shared.memory.name)
+        arguments = (theirs, w, self._workers, self._rows[w], self._shared.memory.name)
         process = context.Process(target=work, args=arguments, daemon=True, name=f"dgrasp-worker-{w}")
-        with _single_threaded():
+        with single_threaded():
             process.start()
         theirs.close()
         return _Member(process, ours)
+
+    def _send_spec(self, w: int) -> None:
+        # Not an argument of the process: to hand those over blocks for good where the process ends before it reads.
+        with suppress(OSError):
+            self._members[w].connection.send(self._spec)
 
     # What a learner needs ----------------------------------------------------------------------
 
@@ -271,7 +263,8 @@ class ProcessPool(SizedPool):
             answer = member.connection.recv_bytes()
         except (EOFError, OSError):
             member.process.join(timeout=1)
-            raise WorkerLost(f"worker {w} died (exit code {member.process.exitcode})") from None
+            code = member.process.exitcode
+            raise WorkerLost(f"worker {w} died (exit code {code})", code) from None
         if answer[:1] == FAILED:
             raise PoolError(f"worker {w} failed:\n{answer[1:].decode(errors='replace')}")
 
@@ -283,6 +276,7 @@ class ProcessPool(SizedPool):
             raise PoolError(f"worker {w} was lost {losses} times in a row; is there enough memory for its worlds?")
         self._members[w] = self._new_member(w)
         self._members[w].losses = losses
+        self._send_spec(w)
         # A new worker counts from zero.
         self._told[w] = np.zeros((2, 1))
         self._lost += 1

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import pickle
 import signal
 import traceback
@@ -15,7 +16,7 @@ import numpy as np
 from dgrasp.control.motion import Fingers
 from dgrasp.env.grasp_env import GraspEnv, Mode
 from dgrasp.hand.layout import HandLayout
-from dgrasp.pool.base import PoolSpec, make_env
+from dgrasp.pool.base import PoolError, PoolSpec, make_env
 from dgrasp.rl.collect import Actor, Incident, Trajectories, collect
 from dgrasp.rl.step import Layout, Step
 from dgrasp.scene.state import copy_state, state_size, state_views
@@ -33,12 +34,35 @@ class _Stopped(Exception):
 def shared_arrays(layout: Layout, name: str | None = None) -> tuple[SharedMemory, dict[str, Array]]:
     """Named arrays in one block of shared memory: a new block, or the existing block `name`."""
     sizes = {key: int(np.prod(shape)) * np.dtype(kind).itemsize for key, (shape, kind) in layout.items()}
-    memory = SharedMemory(name=name) if name else SharedMemory(create=True, size=sum(sizes.values()))
+    memory = SharedMemory(name=name) if name else _new_memory(sum(sizes.values()))
     arrays, offset = {}, 0
     for key, (shape, kind) in layout.items():
         arrays[key] = np.ndarray(shape, kind, buffer=memory.buf, offset=offset)
         offset += sizes[key]
     return memory, arrays
+
+
+def _new_memory(size: int) -> SharedMemory:
+    """Shared memory of so many bytes, zeros, all of which can be written to; `PoolError` where there is not as much."""
+    memory = None
+    try:
+        memory = SharedMemory(create=True, size=size)
+        file = f"/dev/shm/{memory.name}"
+        if hasattr(os, "posix_fallocate") and os.path.exists(file):
+            # Linux gives out pages when they are written to, and kills a process for which there are none.
+            handle = os.open(file, os.O_RDWR)
+            try:
+                os.posix_fallocate(handle, 0, size)
+            finally:
+                os.close(handle)
+        return memory
+    except OSError as error:
+        if memory is not None:
+            memory.close()
+            memory.unlink()
+        raise PoolError(f"{size / 2**20:.1f} MiB of shared memory for the workers cannot be had "
+                        f"({error.strerror or error}); give this machine or container more (its /dev/shm), set "
+                        "pool.kind=serial, or take fewer labels: labels.per_epoch, labels.limit_per_object") from None
 
 
 class Shared:
@@ -165,12 +189,12 @@ class Worker:
                 self._conn.send(answer)
 
 
-def work(conn: Connection, spec: PoolSpec, w: int, workers: int, rows: slice, memory: str) -> None:
-    """The main function of a worker process: make the environments, report that they are ready, and serve."""
+def work(conn: Connection, w: int, workers: int, rows: slice, memory: str) -> None:
+    """The main function of a worker process: receive the pool's spec, make the environments, report, and serve."""
     # The main process handles Ctrl-C and stops the workers when it is ready.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     try:
-        worker = Worker(conn, spec, w, workers, rows, memory)
+        worker = Worker(conn, conn.recv(), w, workers, rows, memory)
         conn.send_bytes(OK)
         worker.serve()
         worker.env.close()
