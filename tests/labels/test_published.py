@@ -131,7 +131,8 @@ def test_dexgraspnets_grasps_and_their_scale(tmp_path: Path, capsys: pytest.Capt
     assert main(words) == 2
     assert "grasps at the scales 0.06, 0.1; an object has one size: choose one with --scale" in capsys.readouterr().err
     assert main([*words, "--scale", "0.1"]) == 0
-    assert "mean flat (as dexgraspnet has it)" in (printed := capsys.readouterr().out) and "meshes of unit size x 0.1" in printed
+    printed = capsys.readouterr().out
+    assert "mean flat (as dexgraspnet has it)" in printed and "meshes of unit size x 0.1" in printed
     labels = read_native(out)
     assert [label.object_id for label in labels] == ["my_box", "my_box"]
     np.testing.assert_allclose(labels[0].T_WH[:3, 3], [0.09, 0.0, 0.0], atol=1e-12)
