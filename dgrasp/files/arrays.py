@@ -17,7 +17,7 @@ from dgrasp.errors import DataError
 from dgrasp.files.pickles import Globals, RestrictedUnpickler
 
 _DTYPE = re.compile(r"bool|b1|[iu][1248]|f[248]|[US]\d{1,5}|O[48]?")
-_SMALL = 16
+_SMALL = 32
 """Bytes. Larger scalars are counted like arrays."""
 
 

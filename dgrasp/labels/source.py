@@ -132,13 +132,13 @@ def load_labels(path: Path) -> LabelSet:
         raise DataError(f"{path}: no such label file; expected {expected}")
     try:
         with path.open("rb") as stream:
-            head = stream.read(16)
+            head = stream.read(32)
     except OSError as error:
         raise DataError(f"{path}: cannot be read ({error.strerror or error})") from None
     form = next((form for form in FORMATS if head.startswith(form.head)), None)
     if form is None:
         formats = " nor ".join(form.name for form in FORMATS)
-        raise DataError(f"{path}: neither {formats} (it begins with {head!r}); expected {expected}")
+        raise DataError(f"{path}: neither {formats} (it begins with {head[:4]!r}); expected {expected}")
     labels, hand, names, licence = form.read(path)
     # The files of the release do not state their source; their names tell it.
     known = published_as(path.name) if licence is None else None

@@ -52,9 +52,9 @@ def resolve_object(name: str | int) -> str:
     if text in YCB_NAMES.values():
         return text
     if text in _LARGE_CLAMP_WORDS:
-        raise DataError(f"{text!r}: {LARGE_CLAMP} is object 19 of DexYCB, which has no grasps of it, and none of the "
-                        f"20 objects of the paper ({', '.join(YCB_NAMES.values())}); choose one of these, or add "
-                        f"its mesh with `dgrasp object add MESH --name {LARGE_CLAMP}` and make labels")
+        raise DataError(f"unknown object {text!r}: {LARGE_CLAMP} is object 19 of DexYCB, which has no grasps of it, "
+                        f"and none of the 20 objects of the paper ({', '.join(YCB_NAMES.values())}); choose one of "
+                        f"these, or add its mesh with `dgrasp object add MESH --name {LARGE_CLAMP}` and make labels")
     if text.isascii() and text.isdigit():
         if len(text) == 3:
             for full in YCB_NAMES.values():
