@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import shlex
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -17,6 +18,7 @@ from dgrasp.errors import ConfigError, DataError
 from dgrasp.eval.evaluator import evaluate
 from dgrasp.eval.motion import choose_targets, motion_row, move, stable_grasps, usual_set
 from dgrasp.eval.summary import summarise
+from dgrasp.files.typed import typed
 from dgrasp.methods import TRAINED
 from dgrasp.methods.frozen import frozen_grasp
 from dgrasp.methods.policy import PolicyMethod
@@ -75,7 +77,8 @@ def _checked_data(config: Config) -> DataChoice:
 
 
 def _say_done(run_dir: Path) -> None:
-    print(f"done: {run_dir}\ntest it:  python test.py --run {run_dir}\nwatch it: tensorboard --logdir {run_dir.parent}")
+    print(f"done: {run_dir}\ntest it:  {typed('test', ['--run', run_dir])}\n"
+          f"watch it: tensorboard --logdir {shlex.quote(str(run_dir.parent))}")
 
 
 def _refuse_lost_checkpoints(run_dir: Path) -> None:
@@ -88,7 +91,8 @@ def _refuse_lost_checkpoints(run_dir: Path) -> None:
 
 
 def _exists(run_dir: Path) -> ConfigError:
-    return ConfigError(f"{run_dir} exists already; continue it with --resume {run_dir}, or choose another --run")
+    return ConfigError(f"{run_dir} exists already; continue it with --resume {shlex.quote(str(run_dir))}, or choose "
+                       "another --run")
 
 
 def next_run(name: str) -> Path:
