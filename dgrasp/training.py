@@ -15,7 +15,7 @@ from dgrasp.build import build_spec, frozen_policy
 from dgrasp.config.experiment import Config, load_config
 from dgrasp.data import DataChoice, resolve
 from dgrasp.errors import ConfigError, DataError
-from dgrasp.eval.evaluator import evaluate
+from dgrasp.eval.evaluator import Progress, evaluate
 from dgrasp.eval.motion import choose_targets, motion_row, move, stable_grasps, usual_set
 from dgrasp.eval.summary import summarise
 from dgrasp.files.typed import typed
@@ -145,20 +145,23 @@ def train(run_dir: Path, config: Config, choice: DataChoice, resume: bool = Fals
     pool = make_pool(spec)
     try:
         make = periodic_motion if moves else periodic_evaluation
-        evaluator = make(pool, spec, choice)
-        Runner(pool, config, run_dir, choice.stamp(), evaluator, resume).learn()
+        evaluator = make(pool, spec, choice, lambda done, total: runner.watch(done, total))
+        runner = Runner(pool, config, run_dir, choice.stamp(), evaluator, resume)
+        runner.learn()
     finally:
         pool.close()
 
 
-def periodic_evaluation(pool: Pool, spec: PoolSpec, choice: DataChoice) -> Callable[[Policy], dict[str, Any]]:
+def periodic_evaluation(
+    pool: Pool, spec: PoolSpec, choice: DataChoice, progress: Progress | None = None
+) -> Callable[[Policy], dict[str, Any]]:
     """Deterministic evaluation on the pool's labels, with a GIF of one grasp that walks through the labels."""
     count = 0
 
     def run(policy: Policy) -> dict[str, Any]:
         nonlocal count
         config = spec.config
-        records, cost = evaluate(pool, PolicyMethod(policy), config)
+        records, cost = evaluate(pool, PolicyMethod(policy), config, progress)
         result = summarise(
             records, method="policy", engine=config.engine, window_s=config.eval.window_s, seed=config.seed,
             data=choice.stamp(), cost=cost,
@@ -179,7 +182,9 @@ def only_stable(spec: PoolSpec) -> PoolSpec:
     return replace(spec, labels=[label for label, ok in zip(spec.labels, stable, strict=True) if ok])
 
 
-def periodic_motion(pool: Pool, spec: PoolSpec, choice: DataChoice) -> Callable[[Policy], dict[str, Any]]:
+def periodic_motion(
+    pool: Pool, spec: PoolSpec, choice: DataChoice, progress: Progress | None = None
+) -> Callable[[Policy], dict[str, Any]]:
     """The same for the tasks with a target: each of the pool's labels goes to one target of `motion.targets`."""
     config = spec.config
     named = config.motion.model_copy(update={"targets": config.motion.targets or usual_set(choice)})
@@ -192,7 +197,7 @@ def periodic_motion(pool: Pool, spec: PoolSpec, choice: DataChoice) -> Callable[
 
     def run(policy: Policy) -> dict[str, Any]:
         nonlocal count
-        records, _ = move(pool, kind(policy), config, path, steps)
+        records, _ = move(pool, kind(policy), config, path, steps, progress)
         rows = [motion_row(record, int(target), False) for record, target in zip(records, which, strict=True)]
         values: dict[str, Any] = {"carried": float(np.mean([row["carried"] for row in rows]))}
         for name in ("mpe_m", "geodesic_rad"):
