@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import shlex
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -14,9 +15,10 @@ from dgrasp.build import build_spec, frozen_policy
 from dgrasp.config.experiment import Config, load_config
 from dgrasp.data import DataChoice, resolve
 from dgrasp.errors import ConfigError, DataError
-from dgrasp.eval.evaluator import evaluate
+from dgrasp.eval.evaluator import Progress, evaluate
 from dgrasp.eval.motion import choose_targets, motion_row, move, stable_grasps, usual_set
 from dgrasp.eval.summary import summarise
+from dgrasp.files.typed import typed
 from dgrasp.methods import TRAINED
 from dgrasp.methods.frozen import frozen_grasp
 from dgrasp.methods.policy import PolicyMethod
@@ -76,7 +78,8 @@ def _checked_data(config: Config) -> DataChoice:
 
 
 def _say_done(run_dir: Path) -> None:
-    print(f"done: {run_dir}\ntest it:  python test.py --run {run_dir}\nwatch it: tensorboard --logdir {run_dir.parent}")
+    print(f"done: {run_dir}\ntest it:  {typed('test', ['--run', run_dir])}\n"
+          f"watch it: tensorboard --logdir {shlex.quote(str(run_dir.parent))}")
 
 
 def _refuse_lost_checkpoints(run_dir: Path) -> None:
@@ -89,7 +92,8 @@ def _refuse_lost_checkpoints(run_dir: Path) -> None:
 
 
 def _exists(run_dir: Path) -> ConfigError:
-    return ConfigError(f"{run_dir} exists already; continue it with --resume {run_dir}, or choose another --run")
+    return ConfigError(f"{run_dir} exists already; continue it with --resume {shlex.quote(str(run_dir))}, or choose "
+                       "another --run")
 
 
 def next_run(name: str) -> Path:
@@ -142,20 +146,23 @@ def train(run_dir: Path, config: Config, choice: DataChoice, resume: bool = Fals
     pool = make_pool(spec)
     try:
         make = periodic_motion if moves else periodic_evaluation
-        evaluator = make(pool, spec, choice)
-        Runner(pool, config, run_dir, choice.stamp(), evaluator, resume).learn()
+        evaluator = make(pool, spec, choice, lambda done, total: runner.watch(done, total))
+        runner = Runner(pool, config, run_dir, choice.stamp(), evaluator, resume)
+        runner.learn()
     finally:
         pool.close()
 
 
-def periodic_evaluation(pool: Pool, spec: PoolSpec, choice: DataChoice) -> Callable[[Policy], dict[str, Any]]:
+def periodic_evaluation(
+    pool: Pool, spec: PoolSpec, choice: DataChoice, progress: Progress | None = None
+) -> Callable[[Policy], dict[str, Any]]:
     """Deterministic evaluation on the pool's labels, with a GIF of one grasp, each time of another label."""
     count = 0
 
     def run(policy: Policy) -> dict[str, Any]:
         nonlocal count
         config = spec.config
-        records, cost = evaluate(pool, PolicyMethod(policy), config)
+        records, cost = evaluate(pool, PolicyMethod(policy), config, progress)
         result = summarise(
             records, method="policy", engine=config.engine, window_s=config.eval.window_s, seed=config.seed,
             data=choice.stamp(), cost=cost,
@@ -176,7 +183,9 @@ def only_stable(spec: PoolSpec) -> PoolSpec:
     return replace(spec, labels=[label for label, ok in zip(spec.labels, stable, strict=True) if ok])
 
 
-def periodic_motion(pool: Pool, spec: PoolSpec, choice: DataChoice) -> Callable[[Policy], dict[str, Any]]:
+def periodic_motion(
+    pool: Pool, spec: PoolSpec, choice: DataChoice, progress: Progress | None = None
+) -> Callable[[Policy], dict[str, Any]]:
     """As `periodic_evaluation`, for tasks with a target: each object moves to one target of `motion.targets`."""
     config = spec.config
     named = config.motion.model_copy(update={"targets": config.motion.targets or usual_set(choice)})
@@ -189,7 +198,7 @@ def periodic_motion(pool: Pool, spec: PoolSpec, choice: DataChoice) -> Callable[
 
     def run(policy: Policy) -> dict[str, Any]:
         nonlocal count
-        records, _ = move(pool, kind(policy), config, path, steps)
+        records, _ = move(pool, kind(policy), config, path, steps, progress)
         rows = [motion_row(record, int(target), False) for record, target in zip(records, which, strict=True)]
         values: dict[str, Any] = {"carried": float(np.mean([row["carried"] for row in rows]))}
         for name in ("mpe_m", "geodesic_rad"):

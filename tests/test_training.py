@@ -30,7 +30,7 @@ def test_a_run_begins_in_a_directory_of_its_own_and_goes_on_from_there(
     monkeypatch.chdir(tmp_path)
     config = load_config(None, [f"data={folder}", "name=mine", *SHORT])
     assert begin(config) == Path("runs/mine_1") and begin(config, Path("here")) == Path("here")
-    assert "test it:  python test.py --run here" in capsys.readouterr().out
+    assert "test it:  dgrasp test --run here" in capsys.readouterr().out
     assert read_run(Path("here")).state == "finished" and read_run(Path("here")).config == config
     with pytest.raises(ConfigError, match="here exists already; continue it with --resume here"):
         begin(config, Path("here"))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import os
+import shlex
 import shutil
 import sys
 from pathlib import Path
@@ -155,11 +156,11 @@ def _print(results: dict[str, Result]) -> None:
 
 def _print_next(run_dir: Path, shipped: bool) -> None:
     # If the virtual environment is not active, its folder is prefixed, so that the commands work as printed.
-    bin_dir = "" if shutil.which("dgrasp") else os.path.relpath(Path(sys.executable).parent) + os.sep
+    bin_dir = "" if shutil.which("dgrasp") else shlex.quote(os.path.relpath(Path(sys.executable).parent) + os.sep)
     print(
         f"\nview the grasps:      open {run_dir / ('policy.html' if shipped else 'gt_pd.html')} in a browser\n"
-        f"view the training:    {bin_dir}tensorboard --logdir {run_dir.parent}\n"
-        f"train longer:         {bin_dir}dgrasp train --resume {run_dir} ppo.max_minutes=60\n"
+        f"view the training:    {bin_dir}tensorboard --logdir {shlex.quote(str(run_dir.parent))}\n"
+        f"train longer:         {bin_dir}dgrasp train --resume {shlex.quote(str(run_dir))} ppo.max_minutes=60\n"
         f"train on all objects: {bin_dir}dgrasp train --cfg cfg/fast.yaml --data free\n"
         + f"test shipped policy:  {bin_dir}dgrasp test --run pretrained --data free --split test\n" * shipped +
         f"test your own labels: {bin_dir}dgrasp test --baseline gt_pd --labels FILE"

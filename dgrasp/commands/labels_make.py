@@ -77,6 +77,7 @@ class _Task:
 
 def main(arguments: argparse.Namespace) -> int:
     """Make and write the labels; returns the exit code."""
+    from dgrasp.labels.recorded.common import progress
     from dgrasp.pool import cores
 
     tasks, hand = _tasks(arguments)
@@ -91,7 +92,7 @@ def main(arguments: argparse.Namespace) -> int:
         print(f"{parts}: {len(tasks) - len(todo)} objects are there from an interrupted run", flush=True)
     with ProcessPoolExecutor(workers, multiprocessing.get_context("spawn"), _one_thread) as pool:
         results = iter(pool.map(_make, todo))
-        for task in tasks:
+        for task in progress(tasks, "making labels"):
             labels, row = _kept(parts / task.file, hand, next(results) if task.file in missing else None)
             made.append(labels)
             figures[task.model.name] = row

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from dgrasp.errors import DataError
+from dgrasp.files.typed import typed
 from dgrasp.rl.run.folder import BEST, latest
 from dgrasp.rl.run.folder import WEIGHTS_SUFFIX as SUFFIX
 
@@ -71,5 +72,5 @@ def _of_run(run_dir: Path, last: bool) -> tuple[Path, Checkpoint]:
                       "--last takes the last one")
             found = best, read
     if found[1].epoch == 0:
-        raise DataError(f"{run_dir}: no epoch is trained yet; train on with --resume {run_dir}")
+        raise DataError(f"{run_dir}: no epoch is trained yet; train on: {typed('train', ['--resume', run_dir])}")
     return found

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, ClassVar
 
 from dgrasp.config.sections import MotionConfig
+from dgrasp.files.typed import typed
 from dgrasp.methods.method import Method
 from dgrasp.types import Array
 
@@ -29,7 +30,7 @@ class PolicyMethod(Method):
     @classmethod
     def train_command(cls) -> str:
         """The command line that trains such a policy."""
-        return " ".join(["python train.py --cfg", cls.cfg, *cls.cfg_keys])
+        return typed("train", ["--cfg", cls.cfg, *cls.cfg_keys])
 
     @classmethod
     def needs_grasp(cls, motion: MotionConfig) -> bool:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import math
 import time
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
@@ -22,10 +23,22 @@ from dgrasp.rl.run import checkpoint as checkpoints
 from dgrasp.rl.run.checkpoint import Checkpoint
 from dgrasp.rl.run.interrupts import Interrupted, Preempted, interruptible, uninterruptible
 from dgrasp.rl.run.lock import only_run
-from dgrasp.rl.run.log import RETURN, STEPS_PER_SECOND, SUCCESS, TERMINATED, TRUNCATED, UPDATE_SHARE, Log, steps_made
+from dgrasp.rl.run.log import (
+    HELD,
+    RETURN,
+    STEPS_PER_SECOND,
+    SUCCESS,
+    TERMINATED,
+    TRUNCATED,
+    UPDATE_SHARE,
+    Log,
+    steps_made,
+)
 from dgrasp.rl.storage import Rollout
 from dgrasp.rl.vec_env import VecEnv
 
+_SHARES = (10, 25, 50, 75)
+"""Per cent of a training shorter than `eval.every` after which it is evaluated too."""
 Evaluate = Callable[[Policy], dict[str, Any]]
 """Evaluates a policy deterministically. Returns numbers by name, such as "success", and bytes under "gif" if any."""
 
@@ -91,6 +104,7 @@ class Runner:
         self.best_success: float | None = None
         self._notices: list[str] = []
         self._lost_steps = 0
+        self._log: Log | None = None
         if resume:
             self._restore()
         elif checkpoints.saved(run_dir):
@@ -102,6 +116,7 @@ class Runner:
         with interruptible(), only_run(self.run_dir):
             try:
                 with self._open_log() as log:
+                    self._log = log
                     self._learn(log)
             except DGraspError:
                 # After a fatal error, such as a lost pool or a gradient that is not finite, keep the last good epoch.
@@ -159,6 +174,10 @@ class Runner:
         values = {RETURN: float(rollout.rewards.sum(0, dtype=torch.float64).mean())}
         for tag, ends in ((TERMINATED, trajectories.terminated), (TRUNCATED, trajectories.truncated)):
             values[tag] = float(ends.sum(axis=0).mean())
+        ended = trajectories.terminated.sum() + trajectories.truncated.sum()
+        if self.config.env.hold.first_step is not None and ended:
+            # A dropped object terminates an episode, so what comes to its end still holds.
+            values[HELD] = float(trajectories.truncated.sum() / ended)
         terms = trajectories.reward_terms.mean(axis=0, dtype=np.float64)
         return values | _tagged("reward", dict(zip(env.reward_terms, terms, strict=True)))
 
@@ -171,8 +190,9 @@ class Runner:
         """Evaluate if due, log, and take the snapshot that marks the epoch as completed."""
         self.epoch = epoch
         gif = None
-        if self.evaluate is not None and (epoch % self.config.eval.every == 0 or last):
-            results = dict(self.evaluate(self.model.policy()))
+        if self.evaluate is not None and (last or self._is_evaluated(epoch)):
+            with log.evaluation():
+                results = dict(self.evaluate(self.model.policy()))
             gif = results.pop("gif", None)
             values = {**values, **_tagged("eval", results)}
         best = SUCCESS in values and values[SUCCESS] >= (self.best_success or 0.0)
@@ -183,6 +203,17 @@ class Runner:
         self._completed = self._snapshot()
         if best:
             checkpoints.save_best(self.run_dir, self._completed)
+
+    def _is_evaluated(self, epoch: int) -> bool:
+        """Whether there is an evaluation after an epoch that is not the last."""
+        every, epochs = self.config.eval.every, self.last_epoch
+        early = {math.ceil(share * epochs / 100) for share in _SHARES} if every > epochs else set[int]()
+        return epoch % every == 0 or epoch in early
+
+    def watch(self, done: int, total: int) -> None:
+        """Show how far the evaluation is that is going on, in its own control steps."""
+        if self._log is not None:
+            self._log.evaluating(self.epoch, done, total)
 
     def _steps_in(self, epoch: int) -> int:
         """Control steps that an epoch asks of the environments."""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -21,6 +20,7 @@ from dgrasp.eval.motion import usual_set
 from dgrasp.eval.summary import Result, Row, is_metric, summarise
 from dgrasp.files.atomic import write_atomic
 from dgrasp.files.paths import cfg_root
+from dgrasp.files.typed import typed
 from dgrasp.labels.source import sha256_of
 from dgrasp.methods import PolicyMethod
 from dgrasp.request import Asked, Request, make_request
@@ -178,7 +178,7 @@ def _command(asked: Asked) -> str:
     words += asked.overrides
     if "motion.targets" in asked.values:
         words += ["--motion", asked.values["motion.targets"]]
-    return shlex.join(["python", "test.py", *words])
+    return typed("test", words)
 
 
 def fill(plan: Plan, seeds: Sequence[Tables]) -> list[Cells]:

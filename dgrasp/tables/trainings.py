@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import os
-import shlex
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -19,6 +18,7 @@ from dgrasp.data import resolve
 from dgrasp.errors import DataError, DGraspError
 from dgrasp.files.atomic import write_atomic
 from dgrasp.files.paths import cfg_root
+from dgrasp.files.typed import typed
 from dgrasp.request import Asked
 from dgrasp.rl.run.folder import latest, saved
 from dgrasp.rl.run.record import Run, read_run
@@ -56,7 +56,7 @@ class Trainings:
         words = ["--cfg", str(run.cfg or self.cfg), "--run", str(self.run_dir(run)), *self.overrides, *run.overrides]
         if run.policy is not None:
             words.append(_motion_policy(self.policy_of(run.policy)))
-        return shlex.join(["python", "train.py", *words])
+        return typed("train", words)
 
     def asked(self, run: Trained) -> Asked:
         """The part of an evaluation's request that names the run's policy."""
@@ -87,7 +87,7 @@ class Trainings:
         if (self.run_dir(run) / "config.yaml").is_file():
             if read_run(self.run_dir(run)).state == "running":
                 return f"{self.run_dir(run)} is being trained and has no checkpoint yet"
-            return shlex.join(["python", "train.py", "--resume", str(self.run_dir(run))])
+            return typed("train", ["--resume", self.run_dir(run)])
         return self.command(run)
 
     def about(self, run: Trained) -> list[str]:

@@ -265,3 +265,32 @@ def test_a_time_limit_bounds_the_time_left() -> None:
     progress.advance(400, "epoch 1/9")
     assert "10 steps/s, 0:01:00 left" in stream.getvalue()
     progress.close()
+
+
+def test_the_line_has_the_return_and_the_share_of_recent_episodes_that_were_held() -> None:
+    console, stream = _console()
+    now = [0.0]
+    progress = TrainingProgress(1000, 0, console, clock=lambda: now[0])
+    progress.trained(-3.0, None)
+    for k in range(12):
+        progress.trained(float(k), k / 16)
+    now[0] = 50.0
+    progress.advance(100, "epoch 13/20")
+    # Epochs 2 to 11 of the twelve: (2 + ... + 11) / 10 / 16 = 6.5 / 16.
+    assert stream.getvalue() == "epoch 13/20, 2 steps/s, 0:07:30 left, return 11.000, held 0.406\n"
+
+
+def test_the_time_of_evaluations_is_left_out_of_the_estimate() -> None:
+    console, stream = _console()
+    now = [0.0]
+    progress = TrainingProgress(1000, 0, console, clock=lambda: now[0])
+    with progress.evaluation():
+        now[0] = 31.0
+        progress.evaluating("epoch 0/2", 5, 20)
+        now[0] = 40.0
+    now[0] = 80.0
+    progress.advance(400, "epoch 1/2")
+    # 400 steps in 40 of the 80 s, 600 left.
+    assert stream.getvalue().splitlines() == [
+        "epoch 0/2, evaluating: step 5 of 20", "epoch 1/2, 10 steps/s, 0:01:00 left",
+    ]  # fmt: skip

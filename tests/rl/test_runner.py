@@ -205,6 +205,31 @@ def test_evaluation_schedule_and_best_success(tmp_path: Path) -> None:
     assert last(tmp_path).best_success == 0.9
 
 
+@pytest.mark.parametrize(
+    ("epochs", "every", "evaluated"),
+    [(20, 100, [0, 2, 5, 10, 15, 20]), (3, 4, [0, 1, 2, 3]), (1, 9, [0, 1]), (4, 4, [0, 4])],
+)
+def test_a_training_shorter_than_eval_every_is_evaluated_on_the_way(
+    tmp_path: Path, epochs: int, every: int, evaluated: list[int]
+) -> None:
+    config = toy_config(epochs=epochs, eval_every=every)
+    run(tmp_path, config, evaluate=lambda policy: {"success": 0.5, "contact_ratio": 0.5})
+    assert [int(row["epoch"]) for row in rows_of(tmp_path) if row["success"]] == evaluated
+
+
+def test_the_share_of_held_episodes_is_logged(tmp_path: Path) -> None:
+    config = toy_config(epochs=1)
+    assert config.env.hold.first_step is None
+    run(tmp_path / "without", config)
+    assert "held" not in rows_of(tmp_path / "without")[0]
+    hold = config.env.hold.model_copy(update={"first_step": 2, "last_step": 3})
+    env = config.env.model_copy(update={"hold": hold})
+    run(tmp_path / "with", config.model_copy(update={"env": env}))
+    rows = {row["epoch"]: row for row in rows_of(tmp_path / "with")}
+    ended = float(rows["1"]["truncated"]) + float(rows["1"]["terminated"])
+    assert ended > 0.0 and float(rows["1"]["held"]) == pytest.approx(float(rows["1"]["truncated"]) / ended)
+
+
 def test_a_directory_with_another_run_is_refused(tmp_path: Path) -> None:
     run(tmp_path, toy_config(epochs=1))
     with pytest.raises(ConfigError, match="already holds checkpoints"):

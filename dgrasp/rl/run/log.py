@@ -26,6 +26,8 @@ from dgrasp.rl.run.folder import CSV_NAME, write_description, write_plan
 from dgrasp.rl.run.progress import TrainingProgress
 
 RETURN, TERMINATED, TRUNCATED = "train/return", "train/terminated", "train/truncated"
+HELD = "train/held"
+"""Share of an epoch's training episodes that reached their end still holding; where there is a hold (`env.hold`)."""
 SUCCESS, CONTACT_RATIO = "eval/success", "eval/contact_ratio"
 MPE, GEODESIC, CARRIED = "eval/mpe_m", "eval/geodesic_rad", "eval/carried"
 EVALUATED = {"grasp": (SUCCESS, CONTACT_RATIO), "motion": (MPE, GEODESIC, CARRIED), "flat": (MPE, GEODESIC, CARRIED)}
@@ -62,7 +64,8 @@ class Log:
         self._run_dir, self._csv = run_dir, run_dir / CSV_NAME
         self._steps_after, self._epochs, self._seed = steps_after, last_epoch, config.seed
         self._evaluated = EVALUATED[config.env.task]
-        tags = [RETURN, TERMINATED, TRUNCATED, *(f"reward/{term}" for term in reward_terms)]
+        hold = [HELD] if config.env.hold.first_step is not None else []
+        tags = [RETURN, TERMINATED, TRUNCATED, *hold, *(f"reward/{term}" for term in reward_terms)]
         tags += [*(f"ppo/{name}" for name in STATISTICS), STEPS_PER_SECOND, PHYSICS_SHARE, UPDATE_SHARE, LOST_WORKERS]
         columns = [*_FIXED_COLUMNS, *map(_column, [*tags, *self._evaluated])]
         with self._writing():
@@ -75,7 +78,7 @@ class Log:
             self._core_hours_before = float(rows[-1].get("core_hours") or 0.0) if rows else 0.0
             write_atomic(self._csv, _csv_text(self._columns, rows, header=True))
             self._events = EventFile(run_dir, purge_step=resumed_epoch + 1 if resumed_epoch else 0)
-            self._events.layout(_layout(reward_terms, self._evaluated))
+            self._events.layout(_layout(reward_terms, self._evaluated, hold))
             self._events.text("config", dump_config(config), resumed_epoch)
             self._events.text("data", json.dumps(data_stamp, indent=2), resumed_epoch)
             for row in rows:
@@ -116,6 +119,14 @@ class Log:
     def step(self, epoch: int, steps: int) -> None:
         """Add control steps to the progress display."""
         self._progress.advance(steps, f"epoch {epoch}/{self._epochs}")
+
+    def evaluation(self) -> contextlib.AbstractContextManager[None]:
+        """An evaluation; the display's estimate of the time left does without the time that it takes."""
+        return self._progress.evaluation()
+
+    def evaluating(self, epoch: int, done: int, total: int) -> None:
+        """Show how far the evaluation after an epoch is."""
+        self._progress.evaluating(f"epoch {epoch}/{self._epochs}", done, total)
 
     def message(self, text: str) -> None:
         """Print a line."""
@@ -190,6 +201,8 @@ class Log:
             with open(self._csv, "a", encoding="utf-8", newline="") as stream:
                 stream.write(_csv_text(self._columns, [row], header=False))
             self._events.flush()
+        if RETURN in values:
+            self._progress.trained(values[RETURN], values.get(HELD))
         if SUCCESS in values:
             self._progress.success(values[SUCCESS])
         if self._evaluated[0] in values:
@@ -225,7 +238,9 @@ def steps_made(run_dir: Path, epoch: int) -> int | None:
     return int(known) if known.isdecimal() else None
 
 
-def _layout(reward_terms: Sequence[str], evaluated: Sequence[str]) -> dict[str, dict[str, list[Any]]]:
+def _layout(
+    reward_terms: Sequence[str], evaluated: Sequence[str], hold: Sequence[str]
+) -> dict[str, dict[str, list[Any]]]:
     """The layout of TensorBoard's custom page: the most important curves first, then all reward terms."""
     contact = [tag for tag in evaluated if tag == CONTACT_RATIO]
     contact += [f"reward/{term}" for term in reward_terms if "contact" in term]
@@ -233,6 +248,7 @@ def _layout(reward_terms: Sequence[str], evaluated: Sequence[str]) -> dict[str, 
         "Training": {
             **{_column(tag): ["Multiline", [tag]] for tag in evaluated if tag != CONTACT_RATIO},
             "return": ["Multiline", [RETURN]],
+            **{_column(tag): ["Multiline", [tag]] for tag in hold},
             "contact": ["Multiline", contact],
             "KL": ["Multiline", ["ppo/kl"]],
             "steps per second": ["Multiline", [STEPS_PER_SECOND]],
