@@ -166,7 +166,7 @@ def test_other_npy_files(tmp_path: Path, change: dict[str, Any], message: str) -
 def test_labels_of_an_added_object(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr("dgrasp.labels.recorded.common.default_store", lambda: tmp_path / "store")
+    monkeypatch.setattr("dgrasp.objects.store.default_store", lambda: tmp_path / "store")
     J0 = wrist_joints(free_skin(), np.zeros((1, 1)))[0]
     np.savez(tmp_path / "a.npz", object=np.array(["my_box", "my_box"], dtype=object), betas=np.zeros((2, 6)),
              global_orient=np.zeros((2, 1, 3)), hand_pose=np.tile(np.eye(3), (2, 15, 1, 1)),

@@ -180,7 +180,7 @@ def _read_npz(path: Path, published: Published | None) -> dict[str, Any]:
             if published is not None and (name in values or name not in (*WIDTHS, "object")):
                 continue
             if archive.names.count(file) > 1 or (name not in WIDTHS and name != "object") or inside == file:
-                raise DataError(f"{path}: unknown or doubled member {file[:60]!r}; {_FORM}")
+                raise DataError(f"{path}: unknown or duplicate member {file[:60]!r}; {_FORM}")
             if name == "object":
                 array = archive.read(inside, "USOiu")
                 if array.ndim != 1 or len(array) > MAX_ROWS or array.dtype.itemsize > 800:
