@@ -183,7 +183,7 @@ class Policy:
         if observation.ndim != 2 or observation.shape[1] != self.observation_size:
             raise DataError(
                 f"the policy takes observations of shape (N, {self.observation_size}), got {observation.shape}; "
-                "use the features that it was trained with"
+                "use the hand and the features that it was trained with"
             )
         inputs = torch.tensor(observation[:, : self.actor_size], dtype=self._dtype, device=self._device)
         actions: Array = self._actor(inputs).cpu().numpy().astype(np.float32, copy=False)
