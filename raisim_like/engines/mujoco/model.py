@@ -25,6 +25,11 @@ CONTACT_MARGIN = 1e-4
 """m. Contacts begin this early; at 0, bodies that lie on each other part and meet in turns."""
 TOLERANCE = {"faithful": 1e-8, "fast": 1e-3}
 """Of the contact solver; 1e-8 is MuJoCo's. At 1e-3 Newton needs two iterations, not three, and grasps hold as well."""
+CYLINDER_TOLERANCE = 1e-9
+"""m, to which collisions are found in worlds with cylinders that turn easily. At MuJoCo's 1e-6 the contact of a lying
+bar is 0.03 mm beside its centre, and the bar rolls away (docs/physics.md, "Rest")."""
+ROLLING_FRICTION = 2e-5
+"""m, between such a cylinder and what is static; it holds against what is left of the error."""
 IMPEDANCE = 0.9999
 """How hard contacts and limits are; MuJoCo caps it here. What is missing to 1 makes grasps creep."""
 
@@ -46,6 +51,11 @@ class Solid:
     frame: BodyFrame
     material: str
     mask: int
+
+    @property
+    def may_roll(self) -> bool:
+        """Whether it has a cylinder and turns easily."""
+        return self.frame.turns_easily(self.mass) and any(shape.kind == "cylinder" for shape in self.shapes)
 
 
 class Drive:
@@ -151,6 +161,8 @@ class _Maker:
         # Looking for islands does not pay where a hand holds everything together.
         off = mj.mjtDisableBit
         option.disableflags = off.mjDSBL_EULERDAMP | off.mjDSBL_AUTORESET | off.mjDSBL_ISLAND
+        if any(isinstance(item, Solid) and item.may_roll for item in items.values()):
+            option.ccd_tolerance = CYLINDER_TOLERANCE
         # No spring, and a damper that stops the approach within one step: inelastic, without error reduction.
         self.solref, self.solimp = _solref(timestep), [IMPEDANCE, IMPEDANCE, 0.001, 0.5, 2.0]
         self.bits = collision_bits(
@@ -249,13 +261,21 @@ class _Maker:
         """Pairs of geoms with a friction of their own; for the others MuJoCo takes the larger one, the default."""
         for a, b in combinations_with_replacement(self.items, 2):
             friction = self.materials.friction(self.items[a].material, self.items[b].material)
-            if friction == self.materials.default_friction or not self.bits[a][0] & self.bits[b][1]:
+            rolls = self._rolls_on(a, b) or self._rolls_on(b, a)
+            if (friction == self.materials.default_friction and not rolls) or not self.bits[a][0] & self.bits[b][1]:
                 continue
+            rolling = ROLLING_FRICTION if rolls else 0.0
             for first, second in self._touching(a, b):
                 self.spec.add_pair(
-                    geomname1=first, geomname2=second, condim=3, friction=[friction, friction, 0.0, 0.0, 0.0],
+                    geomname1=first, geomname2=second, condim=6 if rolls else 3,
+                    friction=[friction, friction, 0.0, rolling, rolling],
                     solref=self.solref, solimp=self.solimp, margin=CONTACT_MARGIN,
                 )  # fmt: skip
+
+    def _rolls_on(self, a: int, b: int) -> bool:
+        """Whether `a` is a cylinder that may roll and `b` is static."""
+        item, other = self.items[a], self.items[b]
+        return isinstance(item, Solid) and item.may_roll and isinstance(other, Solid) and other.mass == 0.0
 
     def _touching(self, a: int, b: int) -> list[tuple[str, str]]:
         """Pairs of geoms, one of each body, that may collide."""
