@@ -10,6 +10,10 @@ from raisim_like.engines.protocol import Array
 from raisim_like.rotations import matrix_from_quaternion, quaternion_from_matrix
 from raisim_like.shapes import Shape
 
+GYRATION = 0.3
+"""m. A body whose least radius of gyration is below turns as easily as things on a table do. That of the authors'
+objects, whose moments are 1 kg m^2, is above."""
+
 
 class BodyFrame:
     """Converts states between a body's frame B and its inertial frame I.
@@ -28,6 +32,10 @@ class BodyFrame:
             if np.linalg.det(self.axes) < 0:
                 self.axes[:, 0] *= -1
         self.plain = bool(np.all(self.com == 0) and np.array_equal(self.axes, np.eye(3)))
+
+    def turns_easily(self, mass: float) -> bool:
+        """Whether a body of `mass` kg can be set rolling by small errors of its contacts (docs/physics.md, "Rest")."""
+        return 0.0 < self.moments.min() < mass * GYRATION**2
 
     def shape_in_inertial(self, shape: Shape) -> Shape:
         """A shape of the body, expressed in I."""

@@ -9,6 +9,7 @@ from typing import Any
 
 from raisim_like.engines.body_frame import BodyFrame
 from raisim_like.engines.bullet.quiet_pybullet import pybullet as p
+from raisim_like.engines.bullet.rest import may_roll, with_ends
 from raisim_like.engines.bullet.shapes import SHAPE_TYPES, collision_filter, geometry, xyzw
 from raisim_like.engines.bullet.urdf import compound_urdf, normalised_urdf
 from raisim_like.errors import EngineError
@@ -24,7 +25,8 @@ def make_body(client: int, shapes: Sequence[Shape], mass: float, frame: BodyFram
     for shape in shapes:
         if shape.kind in ("mesh", "hull") and (shape.file is None or not shape.file.is_file()):
             raise EngineError(f"mesh file {shape.file} does not exist")
-    if len(shapes) == 1:
+    rolls = may_roll(shapes, mass, frame)
+    if len(shapes) == 1 and not rolls and (mass > 0 or shapes[0].kind != "box"):
         uid = p.createMultiBody(
             baseMass=float(mass),
             baseCollisionShapeIndex=_collision_shape(client, shapes[0]),
@@ -34,8 +36,12 @@ def make_body(client: int, shapes: Sequence[Shape], mass: float, frame: BodyFram
         )
     else:
         # Load a URDF, because PyBullet's arrays of shapes silently overflow beyond 16 parts.
-        text = compound_urdf(shapes, mass, frame.com, frame.axes)
-        uid = _load(client, text, p.URDF_USE_INERTIA_FROM_FILE, fixed=False)
+        flags = p.URDF_USE_INERTIA_FROM_FILE
+        if rolls or mass == 0:
+            # Hulls and boxes then get all points of a contact at once, and cylinders stay round.
+            flags |= p.URDF_INITIALIZE_SAT_FEATURES | p.URDF_USE_IMPLICIT_CYLINDER
+        text = compound_urdf(list(with_ends(shapes)) if rolls else shapes, mass, frame.com, frame.axes)
+        uid = _load(client, text, flags, fixed=False)
     if uid < 0:
         raise EngineError("PyBullet refused the body")
     if mass > 0:

@@ -16,6 +16,7 @@ from raisim_like.engines.bullet.contacts import contacts_of, link_impulses, touc
 from raisim_like.engines.bullet.friction import factors
 from raisim_like.engines.bullet.pd import HOLD, ImplicitPd, blocks
 from raisim_like.engines.bullet.quiet_pybullet import pybullet as p
+from raisim_like.engines.bullet.rest import BREAKING_THRESHOLD, ROLLING_FRICTION, may_roll
 from raisim_like.engines.bullet.shapes import xyzw
 from raisim_like.engines.bullet.state import BulletSnapshot
 from raisim_like.engines.pending import Pending
@@ -41,8 +42,8 @@ CONTACT_BREAKING_THRESHOLD = 0.001
 class _Body:
     """A rigid body, which Bullet simulates in its inertial frame."""
 
-    def __init__(self, material: str, frame: BodyFrame, mass: float) -> None:
-        self.material, self.frame, self.mass = material, frame, mass
+    def __init__(self, material: str, frame: BodyFrame, mass: float, rolls: bool) -> None:
+        self.material, self.frame, self.mass, self.rolls = material, frame, mass, rolls
 
 
 class BulletWorld:
@@ -57,15 +58,13 @@ class BulletWorld:
         self.bodies: dict[int, _Body] = {}
         self.systems: dict[int, ImplicitPd] = {}
         self._system_material: dict[int, str] = {}
-        self._set_iterations()
+        self._set_solver()
         p.setPhysicsEngineParameter(
-            solverResidualThreshold=RESIDUAL[preset],
             enableConeFriction=1,
             # With error reduction, grasps that start inside the object would be pushed into a hold.
             contactERP=0.0,
             frictionERP=0.0,
             erp=0.0,
-            contactBreakingThreshold=CONTACT_BREAKING_THRESHOLD,
             deterministicOverlappingPairs=1,
             # 0: each group must be in the other's mask; by default one match is enough.
             collisionFilterMode=0,
@@ -121,15 +120,26 @@ class BulletWorld:
     ) -> int:
         frame = BodyFrame(com, inertia)
         uid = make_body(self.client, shapes, mass, frame, collision_mask)
-        self.bodies[uid] = _Body(material, frame, mass)
-        self._set_iterations()
+        self.bodies[uid] = _Body(material, frame, mass, may_roll(shapes, mass, frame))
+        self._set_solver()
         return uid
 
-    def _set_iterations(self) -> None:
+    def _set_solver(self) -> None:
+        """Settings that depend on the bodies that there are."""
         light = any(0.0 < body.mass < LIGHT for body in self.bodies.values())
+        rolls = any(body.rolls for body in self.bodies.values())
         p.setPhysicsEngineParameter(
-            numSolverIterations=LIGHT_ITERATIONS if light else SOLVER_ITERATIONS, physicsClientId=self.client
+            numSolverIterations=LIGHT_ITERATIONS if light else SOLVER_ITERATIONS,
+            # A solver that stops early leaves torques that set a round body rolling.
+            solverResidualThreshold=0.0 if rolls else RESIDUAL[self.preset],
+            contactBreakingThreshold=BREAKING_THRESHOLD if rolls else CONTACT_BREAKING_THRESHOLD,
+            physicsClientId=self.client,
         )
+        for uid, body in self.bodies.items():
+            if body.mass == 0:
+                p.changeDynamics(
+                    uid, -1, rollingFriction=ROLLING_FRICTION if rolls else 0.0, physicsClientId=self.client
+                )
 
     def remove(self, body: int) -> None:
         p.removeBody(body, physicsClientId=self.client)
@@ -137,7 +147,7 @@ class BulletWorld:
         self.bodies.pop(body, None)
         self.systems.pop(body, None)
         self._system_material.pop(body, None)
-        self._set_iterations()
+        self._set_solver()
 
     def apply_materials(self, table: MaterialTable) -> None:
         materials = {uid: body.material for uid, body in self.bodies.items()} | self._system_material

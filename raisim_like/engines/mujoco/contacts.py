@@ -25,6 +25,7 @@ class SlidingContacts:
         self._timestep = np.array(built.model.opt.timestep)
         # Without named pairs friction is the same everywhere. MuJoCo raises smaller values to its minimum.
         self._friction = np.array(max(friction, mj.mjMINMU)) if not built.model.npair else None
+        self._rolling = bool((built.model.pair_dim > 3).any())
         self._speed = np.empty(64)
 
     def set_timestep(self, timestep: float) -> None:
@@ -34,6 +35,9 @@ class SlidingContacts:
     def keep_closed(self) -> None:
         """Correct the contacts of the coming step."""
         data = self._data
+        if self._rolling:
+            self._keep_closed_by_rows()
+            return
         # The contacts come last, after the joint limits. Each has three rows: the normal and two tangents.
         first, velocity = data.nl, data.efc_vel
         count = (len(velocity) - first) // 3
@@ -46,6 +50,15 @@ class SlidingContacts:
         np.multiply(self._frictions(count) if self._friction is None else self._friction, speed, speed)
         np.divide(speed, self._timestep, speed)
         np.subtract(aim, speed, aim)
+
+    def _keep_closed_by_rows(self) -> None:
+        """The same where contacts differ in their number of rows: those with rolling friction have six."""
+        data = self._data
+        rows = data.contact.efc_address
+        acting = rows >= 0
+        rows = rows[acting]
+        speed = np.hypot(data.efc_vel[rows + 1], data.efc_vel[rows + 2])
+        data.efc_aref[rows] -= data.contact.friction[acting, 0] * speed / self._timestep
 
     def _frictions(self, count: int) -> Array:
         """(count,) friction of the contacts that have a force."""

@@ -1,0 +1,47 @@
+"""What round bodies need to rest and to roll as they should in PyBullet (docs/physics.md, "Rest").
+
+Bullet keeps the contact points of earlier steps and finds one new point per pair of convex shapes and step. Where a bar
+rolls, the new point is at one end, and an old point, which has turned with the bar, carries the other. It lies behind
+the bar's centre, so the bar's weight tips it forwards. Without error reduction the bar also sinks.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import replace
+
+import numpy as np
+
+from raisim_like.engines.body_frame import BodyFrame
+from raisim_like.rotations import matrix_from_quaternion
+from raisim_like.shapes import Shape
+
+BREAKING_THRESHOLD = 0.005
+"""Bullet multiplies it by a shape's radius. At 0.001 a standing can drops the point that it rocks away from."""
+ROLLING_FRICTION = 2e-5
+"""m, of static bodies: contact points are found to some micrometres, and may be that far from where they should be."""
+DISC = 0.004
+"""m. Thickness of the discs at a cylinder's ends; Bullet rounds their edges by 1 mm."""
+
+
+def may_roll(shapes: Iterable[Shape], mass: float, frame: BodyFrame) -> bool:
+    """Whether a body needs this: it turns easily, and its shapes can be round."""
+    return frame.turns_easily(mass) and any(shape.kind in ("cylinder", "capsule", "hull") for shape in shapes)
+
+
+def with_ends(shapes: Iterable[Shape]) -> Iterator[Shape]:
+    """The shapes, with one more inside each end of cylinders and capsules: the ends then have contacts of their own."""
+    for shape in shapes:
+        yield shape
+        if shape.kind not in ("cylinder", "capsule"):
+            continue
+        radius, length = shape.size
+        thickness = min(DISC, length / 4)
+        arm = length / 2 if shape.kind == "capsule" else (length - thickness) / 2
+        along = matrix_from_quaternion(np.array(shape.quaternion))[:, 2] * arm
+        for sign in (1.0, -1.0):
+            x, y, z = (float(v) for v in np.array(shape.position) + sign * along)
+            if shape.kind == "capsule":
+                yield Shape("sphere", (radius,), (x, y, z))
+            else:
+                yield replace(shape, size=(radius, thickness), position=(x, y, z))

@@ -1,0 +1,100 @@
+"""Bodies that lie on a table stay where they are, and round ones roll down slopes as they should."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+from scipy.spatial.transform import Rotation
+
+from dgrasp.types import Array
+from raisim_like import RigidBody, Shape, World
+from raisim_like.batch import Preset
+from raisim_like.engines.bullet.rest import with_ends
+from tests.raisim_like.test_rigid_body import wxyz
+
+DT, G = 0.00222, 9.81
+LYING = Rotation.from_euler("y", 90, degrees=True)
+
+
+def solid_cylinder(radius: float, length: float, mass: float) -> Array:
+    side = mass * (3 * radius**2 + length**2) / 12
+    return np.diag([side, side, mass * radius**2 / 2])
+
+
+def bar(path: Path, low: float, high: float) -> Shape:
+    """A hull with 16 sides between two heights, of 8 mm radius."""
+    mesh = trimesh.creation.cylinder(0.008, high - low, sections=16)
+    mesh.apply_translation([0, 0, (low + high) / 2])
+    mesh.export(path)
+    return Shape("hull", file=path)
+
+
+def lay_out(world: World, mass: float, folder: Path) -> list[tuple[RigidBody, Array]]:
+    """One body of each kind on the ground, a metre apart, with the state that each was given."""
+    flat = 0.008 * np.cos(np.pi / 16)
+    on_a_face = LYING * Rotation.from_euler("z", np.pi / 16)
+    thin, can = (0.008, 0.14), (0.0335, 0.1)
+    halves = [bar(folder / "low.obj", -0.07, 0.0), bar(folder / "high.obj", 0.0, 0.07)]
+    laid = [
+        ([Shape("cylinder", thin)], thin, LYING, 0.008),
+        ([Shape("cylinder", can)], can, LYING, 0.0335),
+        ([Shape("cylinder", can)], can, Rotation.identity(), 0.05),
+        ([Shape("capsule", thin)], thin, LYING, 0.008),
+        ([bar(folder / "whole.obj", -0.07, 0.07)], thin, on_a_face, flat),
+        (halves, thin, on_a_face, flat),
+    ]
+    bodies = []
+    for i, (shapes, (radius, length), rotation, height) in enumerate(laid):
+        body = world.add_body(shapes, mass, solid_cylinder(radius, length, mass))
+        body.set_state((0.3, i, height), wxyz(Rotation.from_euler("z", 0.4 + i) * rotation))
+        bodies.append((body, body.state))
+    return bodies
+
+
+@pytest.mark.parametrize("preset", ["faithful", "fast"])
+@pytest.mark.parametrize(("mass", "friction"), [(0.002, 0.1), (0.06, 2.0), (1.0, 0.8)])
+def test_what_lies_untouched_stays(engine: str, preset: Preset, mass: float, friction: float, tmp_path: Path) -> None:
+    world = World(engine, DT, preset)
+    world.set_default_material(friction)
+    world.add_ground()
+    bodies = lay_out(world, mass, tmp_path)
+    world.integrate(round(5.0 / DT))
+    for body, start in bodies:
+        state = body.state
+        turned = Rotation.from_quat(state[[4, 5, 6, 3]]) * Rotation.from_quat(start[[4, 5, 6, 3]]).inv()
+        assert np.linalg.norm(state[:3] - start[:3]) < 1e-3, body.id
+        assert np.degrees(turned.magnitude()) < 1.0, body.id
+    world.close()
+
+
+@pytest.mark.parametrize("preset", ["faithful", "fast"])
+@pytest.mark.parametrize(("radius", "length", "mass"), [(0.008, 0.14, 0.012), (0.0335, 0.1, 0.35)])
+def test_a_cylinder_rolls_down_a_slope(engine: str, preset: Preset, radius: float, length: float, mass: float) -> None:
+    """It gains 2/3 g sin a and neither sinks nor turns, from 8 degrees for half a second."""
+    slope, steps = np.radians(8.0), 230
+    world = World(engine, DT, preset)
+    world.set_default_material(0.8)
+    world.set_gravity((G * np.sin(slope), 0, -G * np.cos(slope)))
+    world.add_ground()
+    body = world.add_body([Shape("cylinder", (radius, length))], mass, solid_cylinder(radius, length, mass))
+    body.set_state((0, 0.1, radius), wxyz(Rotation.from_euler("x", 90, degrees=True)))
+    world.integrate(steps)
+    speed = 2 / 3 * G * np.sin(slope) * steps * DT
+    assert body.linear_velocity[0] == pytest.approx(speed, rel=0.03)
+    assert body.angular_velocity[1] == pytest.approx(speed / radius, rel=0.03)
+    assert body.position[1:] == pytest.approx([0.1, radius], abs=2e-4)
+    world.close()
+
+
+def test_ends_lie_inside_their_shape() -> None:
+    """Along z turned to x: a bar 140 mm long ends at 70 mm, its discs of 4 mm are centred at 68."""
+    quarter = (np.sqrt(0.5), 0.0, np.sqrt(0.5), 0.0)
+    shapes = list(with_ends([Shape("cylinder", (0.008, 0.14), (0.1, 0, 0), quarter), Shape("box", (1, 1, 1))]))
+    assert [shape.kind for shape in shapes] == ["cylinder"] * 3 + ["box"]
+    assert shapes[1].size == (0.008, 0.004)
+    assert shapes[1].position == pytest.approx((0.168, 0, 0)) and shapes[2].position == pytest.approx((0.032, 0, 0))
+    capsule = list(with_ends([Shape("capsule", (0.02, 0.1))]))
+    assert [(s.kind, s.position) for s in capsule[1:]] == [("sphere", (0, 0, 0.05)), ("sphere", (0, 0, -0.05))]
