@@ -25,7 +25,6 @@ OTHER_THINGS = {
     "dgrasp/geometry/solids.py": "corners of a circle",
     "dgrasp/report/charts.py": "pixels",
     "dgrasp/files/arrays.py": "bytes of a small scalar",
-    "dgrasp/labels/source.py": "first bytes of a file",
 }
 
 SKELETON = "dgrasp.hand.mano.skeleton"
