@@ -24,7 +24,6 @@ OTHER_THINGS = {
     "dgrasp/config/experiment.py": "bits of a seed",
     "dgrasp/geometry/solids.py": "corners of a circle",
     "dgrasp/report/charts.py": "pixels",
-    "dgrasp/files/arrays.py": "bytes of a small scalar",
 }
 
 SKELETON = "dgrasp.hand.mano.skeleton"
