@@ -89,7 +89,7 @@ def make_request(asked: Asked) -> Request:
     if asked.cfg is not None or asked.run_dir is not None:
         # What is wrong there shows before the policy is read, which takes seconds.
         config_of(asked)
-    saved = None if path is None else _read(path)
+    saved = None if path is None else read_saved(path)
     method = kind.make(None if saved is None else method_of(saved), str(asked.run or asked.policy))
     config = config_of(asked, path, saved)
     method.check(config)
@@ -99,7 +99,7 @@ def make_request(asked: Asked) -> Request:
     return Request(config, method, choice)
 
 
-def _read(path: Path) -> SavedPolicy:
+def read_saved(path: Path) -> SavedPolicy:
     """Read a saved policy. A missing file is refused before torch, which takes seconds to import, is loaded."""
     if not path.is_file():
         raise DataError(f"{path}: no such file; expected a checkpoint (.pt) or published weights ({WEIGHTS_SUFFIX})")

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import warnings
-
 import gymnasium
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode
 
+import dgrasp
 from dgrasp.config.experiment import load_config
-from dgrasp.errors import ConfigError
-from dgrasp.gym import GraspVectorEnv
+from dgrasp.errors import ConfigError, DataError
+from dgrasp.gym import ACTION_SCALE, GraspGymEnv, GraspVectorEnv
 
 FREE = ["data=free", "labels.objects=[004_sugar_box]", "env.episode_steps=62"]
 
@@ -25,10 +24,7 @@ def env():
 
 
 def test_gymnasiums_checker_is_satisfied(env):
-    with warnings.catch_warnings():
-        # The checker recommends actions within [-1, 1]; ours are dimensionless residuals without such a bound.
-        warnings.filterwarnings("ignore", message=".*symmetric and normalized space.*")
-        check_env(env.unwrapped)
+    check_env(env.unwrapped)
 
 
 def test_spaces_are_bounded_and_rendering_gives_a_picture(env):
@@ -89,9 +85,100 @@ def test_another_pool_is_refused():
         gymnasium.make_vec("dgrasp/Grasp-v0", num_envs=1, pool="nope")
 
 
-def test_more_environments_than_labels_are_refused():
-    with pytest.raises(ConfigError, match="one environment per label"):
-        gymnasium.make_vec("dgrasp/Grasp-v0", num_envs=999, overrides=FREE)
+def test_labels_repeat_where_there_are_more_environments():
+    words = [*FREE, "labels.limit_per_object=2"]
+    venv = GraspVectorEnv(3, overrides=words)
+    observation, info = venv.reset(seed=0)
+    assert info["label"][0] == info["label"][2] != info["label"][1]
+    assert info["object"].tolist() == ["004_sugar_box"] * 3
+    # The same grasp, from another start.
+    assert not np.array_equal(observation[0], observation[2])
+    venv.close()
+    with pytest.raises(ConfigError, match="num_envs 0: expected 1 or more"):
+        GraspVectorEnv(0, overrides=words)
+
+
+def test_gymnasiums_own_vector_has_different_labels():
+    venv = gymnasium.make_vec("dgrasp/Grasp-v0", num_envs=3, vectorization_mode="sync", overrides=FREE)
+    _, info = venv.reset(seed=7)
+    labels = venv.envs[0].unwrapped._all.labels
+    assert len(labels) > 9 and info["label"].tolist() == [labels[k].name for k in (7, 8, 9)]
+    _, info = venv.reset()
+    assert info["label"].tolist() == [labels[k].name for k in (7, 8, 9)]
+    venv.close()
+
+
+def test_an_action_is_the_residual_over_the_scale(env):
+    """A published policy's actions come through to the bit, those beyond the space too."""
+    residual = np.linspace(-9.0, 9.0, 51, dtype=np.float32) * np.float32(1.1)
+    seen = []
+    bare = env.unwrapped
+    bare.reset(seed=1)
+    step = bare._pool.step
+    bare._pool.step = lambda actions: seen.append(actions.copy()) or step(actions)
+    bare.step(residual / np.float32(ACTION_SCALE))
+    bare._pool.step = step
+    assert np.array_equal(seen[0], residual[None])
+    assert env.action_space.high.tolist() == [1.0] * 51
+
+
+HOLD = ["env.hold.first_step=20", "env.hold.last_step=30"]
+
+
+def test_success_is_told_where_episodes_have_a_hold():
+    # Nothing grasps the box; it drops soon after the table has gone.
+    made = GraspGymEnv(overrides=[*FREE, *HOLD], label=0)
+    made.reset(seed=1)
+    ended = False
+    while not ended:
+        _, _, terminated, truncated, info = made.step(-np.ones(51, np.float32))
+        ended = terminated or truncated
+        assert ("is_success" in info) == ended
+    assert terminated and info["is_success"] is False
+    made.close()
+    venv = GraspVectorEnv(2, overrides=[*FREE, *HOLD, "env.hold.drop=9.0"])
+    venv.reset(seed=1)
+    for _ in range(62):
+        _, _, _, truncated, info = venv.step(np.zeros((2, 51), np.float32))
+    # Nothing falls by 9 m in an episode, so that all are held to the end.
+    assert truncated.all() and info["is_success"].all() and info["_is_success"].all()
+    venv.close()
+
+
+def test_next_step_autoreset_shows_the_end_and_then_the_new_episode():
+    same = GraspVectorEnv(2, overrides=FREE)
+    following = GraspVectorEnv(2, overrides=FREE, autoreset_mode=AutoresetMode.NEXT_STEP)
+    assert following.metadata["autoreset_mode"] is AutoresetMode.NEXT_STEP
+    first = [venv.reset(seed=3)[0] for venv in (same, following)]
+    assert np.array_equal(*first)
+    still = np.zeros((2, 51), np.float32)
+    for _ in range(62):
+        a, b = same.step(still), following.step(still)
+    assert b[3].all() and "final_obs" not in b[4]
+    assert np.array_equal(b[0], a[4]["final_obs"]) and np.array_equal(b[1], a[1])
+    # The action after an end is passed over.
+    a, b = same.step(still), following.step(still + 1.0)
+    assert np.array_equal(a[0], b[0]) and b[1].tolist() == [0.0, 0.0] and not (b[2] | b[3]).any()
+    a, b = same.step(still), following.step(still)
+    assert np.array_equal(a[0], b[0]) and np.array_equal(a[1], b[1])
+    same.close()
+    following.close()
+    with pytest.raises(ConfigError, match="expected AutoresetMode"):
+        GraspVectorEnv(1, overrides=FREE, autoreset_mode=AutoresetMode.DISABLED)
+
+
+def test_a_loaded_policy_acts_in_the_space():
+    policy = dgrasp.load_policy("pretrained")
+    made = GraspGymEnv(cfg=policy.config, overrides=["data=free", "labels.objects=004_sugar_box"], label=0)
+    observation, _ = made.reset(seed=0)
+    actions = policy(np.stack([observation, observation]))
+    assert actions.shape == (2, 51) and np.allclose(actions[1], policy(observation), atol=1e-5)
+    expected = policy._policy.act(observation[None])[0]
+    single = policy(observation)
+    assert np.array_equal(single * np.float32(ACTION_SCALE), expected) and made.action_space.contains(actions[0])
+    made.close()
+    with pytest.raises(DataError, match=r"none\.pt: no such file"):
+        dgrasp.load_policy("none.pt")
 
 
 def test_all_environments_act_whatever_an_epoch_of_training_draws():
