@@ -58,7 +58,7 @@ def test_a_new_format_and_a_new_source_are_an_entry_each(tmp_path: Path, monkeyp
     with pytest.raises(DataError) as caught:
         load_labels(tmp_path / "a.pkl")
     assert str(caught.value).endswith(
-        "a.pkl: neither a joblib pickle nor a .npz file nor a text file (it begins with b'other'); expected a "
+        "a.pkl: neither a joblib pickle nor a .npz file nor a text file (it begins with b'othe'); expected a "
         "release's .pkl or a .npz written by `dgrasp labels` or a .txt of mine"
     )
 
