@@ -6,6 +6,7 @@ mass and no known density. In a compound each shape counts in full: where two sh
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -90,6 +91,21 @@ def combine(parts: Iterable[MassProperties]) -> MassProperties:
         d = part.center_of_mass - center
         inertia += part.inertia + part.volume * (d @ d * np.eye(3) - np.outer(d, d))
     return MassProperties(volume, center, inertia)
+
+
+LEAST_SHARE = 0.01
+"""Share of a homogeneous body's moment. A body with less would have nearly all its mass at its centre."""
+
+
+def moment_bounds(axes: Array, mass: float, solid: Array, bounds: Array, center: Array) -> tuple[Array, Array]:
+    """(n,) least and greatest moments of inertia, kg m^2, that a body can have about axes through its centre of mass.
+
+    axes: (n, 3) unit vectors. solid: (3, 3) kg m^2, of the homogeneous body of this mass (kg). bounds: (2, 3) m, the
+    corners of a box around the body. center: (3,) m. At most, all mass is at the corner that is farthest from the axis.
+    """
+    corners = np.array(list(itertools.product(*bounds.T))) - center
+    squared = (corners**2).sum(axis=1)[:, None] - (corners @ axes.T) ** 2
+    return LEAST_SHARE * np.einsum("ij,jk,ik->i", axes, solid, axes), mass * squared.max(axis=0)
 
 
 def load_mesh(path: Path, scale: tuple[float, float, float] = (1.0, 1.0, 1.0)) -> trimesh.Trimesh:

@@ -84,6 +84,23 @@ def test_masses_that_no_body_has(file: Path, tmp_path: Path, mass: Mass, reason:
     assert not (tmp_path / "objects").exists()
 
 
+@pytest.mark.parametrize("moment", [1e-14, 0.1])
+def test_moments_that_the_size_cannot_have(file: Path, tmp_path: Path, moment: float) -> None:
+    """60 x 50 x 40 mm about x: a solid has 0.5 / 12 (0.05^2 + 0.04^2), mass at edges 0.5 (0.025^2 + 0.02^2)."""
+    with pytest.raises(DataError, match=r"principal moment of .*e-14|principal moment of 0\.1") as error:
+        add_box(file, tmp_path / "objects", mass=Mass(0.5, inertia=np.diag([moment, moment, moment])))
+    message = str(error.value)
+    assert "expected 1.71e-06 to 0.00051" in message and "for 0.5 kg" in message and "has 0.000171" in message
+    assert not (tmp_path / "objects").exists()
+
+
+def test_moments_of_a_hollow_and_of_a_dense_body_are_taken(file: Path, tmp_path: Path) -> None:
+    solid = 0.5 / 12 * np.array([0.05**2 + 0.04**2, 0.06**2 + 0.04**2, 0.06**2 + 0.05**2])
+    for name, share in (("hollow", 1.6), ("true", 1.0), ("dense", 0.05)):
+        mass = Mass(0.5, center=np.array([0.01, 0.0, 0.0]), inertia=np.diag(share * solid))
+        assert add_box(file, tmp_path, name, mass).meta["inertia"][0][0] == pytest.approx(share * solid[0])
+
+
 def test_the_same_content_is_not_computed_again(file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("DGRASP_CACHE", str(tmp_path / "cache"))
     cache = tmp_path / "cache" / "objects"

@@ -23,6 +23,7 @@ from dgrasp.config.names import DENSITY, OVERLAP
 from dgrasp.errors import DataError
 from dgrasp.files.atomic import write_atomic
 from dgrasp.files.paths import user_cache_root
+from dgrasp.geometry.inertia import LEAST_SHARE, moment_bounds
 from dgrasp.objects import store
 from dgrasp.objects.add.fit import Choice, fit_shapes, simplified
 from dgrasp.objects.add.mesh_reader import MeshFile, Units, read_mesh_file
@@ -179,10 +180,9 @@ def _describe(name: str, mesh: MeshFile, made: Made, mass: Mass, scale: float) -
     volume = figures["volume_m3"]
     kg = mass.density * volume if mass.kg is None else mass.kg
     center = np.array(figures["center_m"]) if mass.center is None else mass.center
-    inertia = mass.inertia
-    if inertia is None:
-        with np.errstate(invalid="ignore"):  # An infinite mass is refused below.
-            inertia = np.array(figures["inertia_per_density"]) * kg / volume
+    with np.errstate(invalid="ignore"):  # An infinite mass is refused below.
+        solid = np.array(figures["inertia_per_density"]) * kg / volume
+    inertia = solid if mass.inertia is None else mass.inertia
     try:
         store.check_mass(kg, center, inertia)
     except ValueError as error:
@@ -193,6 +193,8 @@ def _describe(name: str, mesh: MeshFile, made: Made, mass: Mass, scale: float) -
         raise DataError(f"{mesh.path}: the centre of mass {center.tolist()} lies outside the object, which reaches "
                         f"from {low.round(4).tolist()} to {high.round(4).tolist()} m; state --center in m, in the "
                         "mesh's frame")
+    if mass.inertia is not None:
+        _check_inertia(mesh.path, kg, inertia, solid, np.array([low, high]), center)
     body = {
         "mass_kg": float(kg), "center_of_mass_O": center.tolist(), "inertia": inertia.tolist(),
         "shapes": figures["shapes"],
@@ -204,6 +206,18 @@ def _describe(name: str, mesh: MeshFile, made: Made, mass: Mass, scale: float) -
         "frame": "the file's own, in m", **body,
         "figures": {key: figures[key] for key in _SHOWN},
     }  # fmt: skip
+
+
+def _check_inertia(path: Path, kg: float, inertia: Array, solid: Array, bounds: Array, center: Array) -> None:
+    """Raise a `DataError` unless a body of this mass and size can have the stated inertia. Arguments as there."""
+    moments, columns = np.linalg.eigh(inertia)
+    least, most = moment_bounds(columns.T, kg, solid, bounds, center)
+    wrong = np.flatnonzero((moments < least) | (moments > most))
+    if len(wrong):
+        i = wrong[0]
+        raise DataError(f"{path}: --inertia has a principal moment of {moments[i]:.3g} kg m^2; expected "
+                        f"{least[i]:.3g} to {most[i]:.3g} about that axis, for {kg:g} kg of this size (a homogeneous "
+                        f"body has {least[i] / LEAST_SHARE:.3g}); state it in kg m^2, about the centre of mass")
 
 
 def _write(folder: Path, files: dict[str, bytes], meta: dict[str, Any]) -> None:
