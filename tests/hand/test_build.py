@@ -27,6 +27,7 @@ from dgrasp.hand.store import NamedHand, built_hand, open_hand
 from dgrasp.labels.formats.native import write_native
 from dgrasp.labels.recorded.mirror import mirror_label
 from dgrasp.objects.free import free_object
+from tests.engines import needs_pybullet
 from tests.hand.mano_file import mano_arrays, write_mano
 from tests.scenes import OneScene, make_label
 
@@ -154,11 +155,12 @@ def test_pybullet_and_mujoco_load_the_file_itself(place: Path, name: str) -> Non
     assert compiled.body_mass.sum() == pytest.approx(open_hand(str(path)).model.urdf.mass, rel=1e-6)
 
 
+@needs_pybullet
 @pytest.mark.parametrize("name", ["right", "left"])
 def test_the_hand_holds_its_pose_in_the_scene(place: Path, name: str) -> None:
     hand = open_hand(str(place / name)).model
     config = make_config({})
-    scene = OneScene(hand, free_object("004_sugar_box", "ycb", False), config.physics, config.engine)
+    scene = OneScene(hand, free_object("004_sugar_box", "ycb", False), config.physics, "pybullet")
     pose = np.zeros(45)
     pose[2::3] = 0.4 if name == "right" else -0.4
     base, away = np.eye(4), np.eye(4)
