@@ -16,7 +16,6 @@ from gymnasium.vector import AutoresetMode
 
 from dgrasp.build import build_spec
 from dgrasp.config.experiment import Config, find_config, load_config, make_config
-from dgrasp.config.values import apply_overrides
 from dgrasp.data import resolve
 from dgrasp.errors import ConfigError
 from dgrasp.pool import PoolSpec, make_pool
@@ -40,14 +39,13 @@ are below 4. Actions beyond the space are applied as they are. A power of two ke
 
 def _config(cfg: Config | str | Path | None, overrides: list[str] | None, kind: str) -> Config:
     if isinstance(cfg, Config):
-        given = overrides or []
-        config = make_config(apply_overrides(cfg.model_dump(), given), overrides=given, typed="overrides")
+        config = make_config(cfg.model_dump(), overrides=overrides or [], typed="overrides")
     else:
         config = load_config(None if cfg is None else find_config(Path(cfg)), overrides, "overrides")
     # Every sub-environment takes part in every episode, and all episodes have the same length.
     labels = config.labels.model_copy(update={"per_epoch": None, "doubles_every": None})
     values = config.model_copy(update={"labels": labels}).model_dump()
-    return make_config(apply_overrides(values, [f"pool.kind={kind}"]))
+    return make_config(values, overrides=[f"pool.kind={kind}"], typed="pool")
 
 
 def _spaces(observation_size: int, action_size: int) -> tuple[gymnasium.spaces.Box, gymnasium.spaces.Box]:

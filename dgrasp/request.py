@@ -117,8 +117,7 @@ def config_of(asked: Asked, path: Path | None = None, saved: SavedPolicy | None 
     where, values = _base(asked, path, saved)
     given = [override(key, value) for key, value in asked.values.items()]
     # A run may train with faster physics; a test uses the most accurate preset.
-    given += asked.overrides
-    config = make_config(apply_overrides(values, ["physics.preset=faithful", *given]), where, given)
+    config = make_config(apply_overrides(values, ["physics.preset=faithful"]), where, [*given, *asked.overrides])
     if path is not None and saved is not None:
         _check_senses(saved, config, path)
     return config

@@ -15,7 +15,6 @@ from rich.table import Table
 
 from dgrasp.commands.test import one_thread, write_gif
 from dgrasp.config.experiment import Config, load_config, make_config
-from dgrasp.config.values import apply_overrides
 from dgrasp.errors import ConfigError
 from dgrasp.files.paths import data_root, package_file
 from dgrasp.rl.run.folder import PRETRAINED_FILE
@@ -134,7 +133,7 @@ def _carry(saved: SavedPolicy, run_dir: Path, words: list[str]) -> None:
 
 
 def _config_of(saved: SavedPolicy | None, words: list[str]) -> Config:
-    return make_config(apply_overrides(saved.config if saved is not None else {}, words), str(PRETRAINED_FILE), words)
+    return make_config(saved.config if saved is not None else {}, str(PRETRAINED_FILE), words)
 
 
 def _print(results: dict[str, Result]) -> None:

@@ -150,13 +150,13 @@ def _nearest(path: str) -> str:
 def make_config(
     values: dict[str, Any], where: str = "config", overrides: Sequence[str] = (), typed: str = "command line"
 ) -> Config:
-    """The validated config; a `ConfigError` lists every problem at once, each with its path.
+    """The validated config of plain values with `key=value` overrides applied.
 
-    where: what the values are from. overrides, typed: those `key=value` that lie over them already, and where they are
-    from; what is wrong with their keys is said of `typed`.
+    where, typed: the sources of values and overrides. A `ConfigError` lists every problem at once, each with its path
+    and under the source that causes it.
     """
     try:
-        return Config.model_validate(values)
+        return Config.model_validate(apply_overrides(values, list(overrides)))
     except ValidationError as error:
         places: dict[str, list[str]] = {}
         keys = [item.partition("=")[0] for item in overrides]
@@ -166,11 +166,19 @@ def make_config(
                 line = f"{path}: unknown key{_nearest(path)}"
             else:
                 got = "" if isinstance(issue.get("input"), (dict, Config)) else f" (got {issue.get('input')!r})"
-                line = f"{path + ': ' if path else ''}{issue['msg']}{got}"
-            # What concerns several keys together has no path, and names them.
-            by_hand = any(_is_at(key, path) if path else key in line for key in keys)
+                line = f"{path + ': ' if path else ''}{issue['msg'].removeprefix('Value error, ')}{got}"
+            # A rule about several keys has no path. Overrides break it if the values alone keep it.
+            by_hand = any(_is_at(key, path) for key in keys) if path else bool(keys) and _is_valid(values)
             places.setdefault(typed if by_hand else where, []).append(line)
         raise ConfigError("\n".join(f"{place}:\n  " + "\n  ".join(lines) for place, lines in places.items())) from None
+
+
+def _is_valid(values: dict[str, Any]) -> bool:
+    try:
+        Config.model_validate(values)
+    except ValidationError:
+        return False
+    return True
 
 
 def _is_at(key: str, path: str) -> bool:
@@ -197,8 +205,7 @@ def load_config(path: Path | None, overrides: list[str] | None = None, typed: st
     typed: where the overrides are from, for errors.
     """
     values = {} if path is None else read_values(path)
-    given = overrides or []
-    return make_config(apply_overrides(values, given), str(path) if path else "config", given, typed)
+    return make_config(values, str(path) if path else "config", overrides or [], typed)
 
 
 def dump_config(config: Config) -> str:

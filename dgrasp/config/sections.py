@@ -52,7 +52,7 @@ class LabelsConfig(Section):
         if isinstance(value, str):
             return [value]
         # Names are text; a number such as 4 is not a name.
-        if isinstance(value, list) and any(isinstance(name, (int, float)) for name in value):
+        if any(isinstance(name, (int, float)) for name in (value if isinstance(value, list) else [value])):
             raise ValueError("expected names such as 004_sugar_box, or numbers in quotes: ['004']")
         return value
 
