@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import difflib
 import os
+import re
 import sys
 from collections.abc import Sequence
 from importlib import import_module
@@ -112,7 +113,10 @@ class _Parser(argparse.ArgumentParser):
     """Says what is wrong with the options in one line, in place of the whole usage."""
 
     def error(self, message: str) -> NoReturn:
-        self.exit(EXIT_BAD_INPUT, f"error: {message}; {self.prog} --help lists the options\n")
+        given = re.match("unrecognized arguments: (--[^ =]+)", message)
+        close = difflib.get_close_matches(given[1], self._option_string_actions, 2, 0.7) if given else []
+        hint = f"did you mean {' or '.join(sorted(close))}? " if close else ""
+        self.exit(EXIT_BAD_INPUT, f"error: {message}; {hint}{self.prog} --help lists the options\n")
 
 
 def run_command(name: str, arguments: Sequence[str], prog: str | None = None) -> int:

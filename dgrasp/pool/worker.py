@@ -62,7 +62,7 @@ def _new_memory(size: int) -> SharedMemory:
             memory.unlink()
         raise PoolError(f"{size / 2**20:.1f} MiB of shared memory for the workers cannot be had "
                         f"({error.strerror or error}); give this machine or container more (its /dev/shm), set "
-                        "pool.kind=serial, or take fewer labels: labels.per_epoch, labels.limit_per_object") from None
+                        "pool.kind=serial, or take fewer labels: labels.objects, labels.limit_per_object") from None
 
 
 class Shared:

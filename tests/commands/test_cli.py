@@ -40,7 +40,9 @@ def test_a_group_says_what_its_commands_do(group: str, capsys: pytest.CaptureFix
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["train", "--foo"], "unrecognized arguments: --foo"),
+        (["train", "--foo"], "unrecognized arguments: --foo; dgrasp train --help"),
+        (["train", "--cgf", "x"], "unrecognized arguments: --cgf; did you mean --cfg? dgrasp train --help"),
+        (["test", "--cgf", "x"], "unrecognized arguments: --cgf; did you mean --cfg or --gif? dgrasp test --help"),
         (["test", "--engine", "x"], "argument --engine: invalid choice: 'x'"),
         (["hand", "report"], "the following arguments are required: HAND"),
     ],
@@ -104,4 +106,4 @@ def test_a_training_needs_a_config(
     assert f"on {labels} labels: {epochs} epochs, {steps} control steps" in message
     assert "on 2 cores" in message and "--cfg cfg/fast.yaml" in message and list(tmp_path.iterdir()) == []
     # 733.2 million at 2 x 250 a second are 17 days.
-    assert ("about 17 days" if not words else "under 2 hours") in message
+    assert ("about 17 days" if not words else "control steps, under 2 hours on") in message
