@@ -87,8 +87,9 @@ def _refuse_lost_checkpoints(run_dir: Path) -> None:
     made = read_run(run_dir)
     epochs = made.number("epoch")
     if epochs >= min(made.config.checkpoint.every, made.epochs):
-        raise ConfigError(f"{run_dir}: its checkpoints are missing after {epochs:.0f} epochs; put them back, test "
-                          f"{BEST} with --policy, or begin another run with --run")
+        kept = f"test {BEST} with --policy, " if (run_dir / BEST).is_file() else ""
+        raise ConfigError(f"{run_dir}: its checkpoints are missing after {epochs:.0f} epochs; put them back, "
+                          f"{kept}or begin another run with --run")
 
 
 def _exists(run_dir: Path) -> ConfigError:

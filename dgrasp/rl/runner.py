@@ -195,7 +195,8 @@ class Runner:
                 results = dict(self.evaluate(self.model.policy()))
             gif = results.pop("gif", None)
             values = {**values, **_tagged("eval", results)}
-        best = SUCCESS in values and values[SUCCESS] >= (self.best_success or 0.0)
+        # Epoch 0 is the state before training, so it is never the best.
+        best = epoch > 0 and SUCCESS in values and values[SUCCESS] >= (self.best_success or 0.0)
         if best:
             self.best_success = values[SUCCESS]
         if values:

@@ -119,7 +119,7 @@ def test_the_best_checkpoint_is_kept_and_can_be_tested(folder: Path, tmp_path: P
 def test_runs_are_listed_and_compared(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     header = "epoch,control_steps,seconds,core_hours,return,success\n"
     for name, seed, rows in (("a", 1, "0,0,1.0,0.0,,0.1\n10,1000,60.0,0.5,-3,0.4\n20,2000,120.0,1.0,-2,0.3\n"),
-                             ("b", 2, "0,0,1.0,0.0,,0.2\n10,1000,50.0,0.25,-3,0.6\n")):
+                             ("b", 2, "0,0,1.0,0.0,,0.7\n10,1000,50.0,0.25,-3,0.6\n")):
         run = tmp_path / name
         (run / "checkpoints").mkdir(parents=True)
         (run / "checkpoints" / "000010.pt").touch()

@@ -59,8 +59,9 @@ class Run:
 
     @property
     def best(self) -> float | None:
-        """The success rate of the best evaluation; None before the first."""
-        return max((success for _, success in self.curve), default=None)
+        """The success rate of the best evaluation after training began (`best.pt`); None before the first."""
+        trained = [row for row in self.rows if int(row["epoch"]) > 0]
+        return max((float(row["success"]) for row in trained if row.get("success")), default=None)
 
     def until(self, epoch: int) -> Run:
         """The run as it was at the end of an epoch."""
