@@ -68,6 +68,7 @@ def _integrate_chunk(worlds: Sequence[BulletWorld], substeps: int) -> None:
             for system in world.systems.values():
                 system.apply()
             world.set_block(steps, length)
+            world.use_threshold()
             start = clock()
             p.stepSimulation(physicsClientId=world.client)
             world.step_seconds += clock() - start

@@ -49,6 +49,8 @@ class _Body:
 class BulletWorld:
     """One DIRECT client of PyBullet. See `EngineWorld` for the methods."""
 
+    _threshold_in_use = 0.0
+
     def __init__(self, timestep: float, preset: Preset = "faithful") -> None:
         self.timestep, self.preset = timestep, preset
         self.step_seconds = 0.0
@@ -70,6 +72,7 @@ class BulletWorld:
             collisionFilterMode=0,
             physicsClientId=self.client,
         )
+        BulletWorld._threshold_in_use = 0.0
         self._snapshots = WeakSet[BulletSnapshot]()
         self._pending, self._lasting = Pending(), dict[int, Array]()
         self._block = 0, 0.0
@@ -89,7 +92,14 @@ class BulletWorld:
             p.setPhysicsEngineParameter(fixedTimeStep=steps * length, numSubSteps=steps, physicsClientId=self.client)
             self._block = steps, length
 
+    def use_threshold(self) -> None:
+        """Bullet has one contact breaking threshold for all clients of a process; this world's is set before a step."""
+        if BulletWorld._threshold_in_use != self._threshold:
+            p.setPhysicsEngineParameter(contactBreakingThreshold=self._threshold, physicsClientId=self.client)
+            BulletWorld._threshold_in_use = self._threshold
+
     def bare_step(self, substeps: int) -> float:
+        self.use_threshold()
         seconds = 0.0
         total, length = engine_steps(substeps, self.timestep, self.preset)
         for steps in blocks(total, length, HOLD[self.preset]):
@@ -132,9 +142,9 @@ class BulletWorld:
             numSolverIterations=LIGHT_ITERATIONS if light else SOLVER_ITERATIONS,
             # A solver that stops early leaves torques that set a round body rolling.
             solverResidualThreshold=0.0 if rolls else RESIDUAL[self.preset],
-            contactBreakingThreshold=BREAKING_THRESHOLD if rolls else CONTACT_BREAKING_THRESHOLD,
             physicsClientId=self.client,
         )
+        self._threshold = BREAKING_THRESHOLD if rolls else CONTACT_BREAKING_THRESHOLD
         for uid, body in self.bodies.items():
             if body.mass == 0:
                 p.changeDynamics(
@@ -244,6 +254,7 @@ class BulletWorld:
             p.resetBasePositionAndOrientation(
                 body, [0.0, 100.0 * k, 1000.0], [0.0, 0.0, 0.0, 1.0], physicsClientId=self.client
             )
+        self.use_threshold()
         p.performCollisionDetection(physicsClientId=self.client)
 
     # Contacts ---------------------------------------------------------------------------------
