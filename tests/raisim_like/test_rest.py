@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from dgrasp.types import Array
 from raisim_like import RigidBody, Shape, World, integrate
 from raisim_like.batch import Preset
-from raisim_like.engines.bullet.rest import with_ends
+from raisim_like.engines.bullet.rest import ends
 from tests.raisim_like.test_rigid_body import wxyz
 
 DT, G = 0.00222, 9.81
@@ -92,12 +92,26 @@ def test_a_cylinder_rolls_down_a_slope(engine: str, preset: Preset, radius: floa
 def test_ends_lie_inside_their_shape() -> None:
     """Along z turned to x: a bar 140 mm long ends at 70 mm, its discs of 4 mm are centred at 68."""
     quarter = (np.sqrt(0.5), 0.0, np.sqrt(0.5), 0.0)
-    shapes = list(with_ends([Shape("cylinder", (0.008, 0.14), (0.1, 0, 0), quarter), Shape("box", (1, 1, 1))]))
-    assert [shape.kind for shape in shapes] == ["cylinder"] * 3 + ["box"]
-    assert shapes[1].size == (0.008, 0.004)
-    assert shapes[1].position == pytest.approx((0.168, 0, 0)) and shapes[2].position == pytest.approx((0.032, 0, 0))
-    capsule = list(with_ends([Shape("capsule", (0.02, 0.1))]))
-    assert [(s.kind, s.position) for s in capsule[1:]] == [("sphere", (0, 0, 0.05)), ("sphere", (0, 0, -0.05))]
+    discs = list(ends([Shape("cylinder", (0.008, 0.14), (0.1, 0, 0), quarter), Shape("box", (1, 1, 1))]))
+    assert [(disc.kind, disc.size) for disc in discs] == [("cylinder", (0.008, 0.004))] * 2
+    assert discs[0].position == pytest.approx((0.168, 0, 0)) and discs[1].position == pytest.approx((0.032, 0, 0))
+    balls = list(ends([Shape("capsule", (0.02, 0.1))]))
+    assert [(ball.kind, ball.position) for ball in balls] == [("sphere", (0, 0, 0.05)), ("sphere", (0, 0, -0.05))]
+
+
+def test_ends_touch_static_bodies_alone(engine: str) -> None:
+    """A can on a can on the ground: the cans have one pair of shapes, which keeps no more than four points."""
+    world = World(engine, DT)
+    ground, below, above = world.add_ground(), world.add_cylinder(0.03, 0.1, 0.3), world.add_cylinder(0.03, 0.1, 0.3)
+    below.set_state((0, 0, 0.05))
+    above.set_state((0, 0, 0.15))
+    world.integrate(200)
+    found = above.contacts()
+    assert 1 <= len(found) <= 4
+    assert {(c.body_b, c.link_a, c.link_b) for c in found} == {(below.id, -1, -1)}
+    carried = sum(c.impulse for c in below.contacts() if c.body_b == ground.id)
+    assert carried == pytest.approx(0.6 * G * DT, rel=0.02)
+    world.close()
 
 
 def test_a_world_with_a_round_body_leaves_others_alone(engine: str) -> None:

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import os
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from itertools import permutations
 from typing import Any
 
 from raisim_like.engines.body_frame import BodyFrame
 from raisim_like.engines.bullet.quiet_pybullet import pybullet as p
-from raisim_like.engines.bullet.rest import may_roll, with_ends
+from raisim_like.engines.bullet.rest import ends, may_roll
 from raisim_like.engines.bullet.shapes import SHAPE_TYPES, collision_filter, geometry, xyzw
 from raisim_like.engines.bullet.urdf import compound_urdf, normalised_urdf
 from raisim_like.errors import EngineError
@@ -40,14 +41,26 @@ def make_body(client: int, shapes: Sequence[Shape], mass: float, frame: BodyFram
         if rolls or mass == 0:
             # Hulls and boxes then get all points of a contact at once, and cylinders stay round.
             flags |= p.URDF_INITIALIZE_SAT_FEATURES | p.URDF_USE_IMPLICIT_CYLINDER
-        text = compound_urdf(list(with_ends(shapes)) if rolls else shapes, mass, frame.com, frame.axes)
+        more = list(ends(shapes)) if rolls else []
+        text = compound_urdf(shapes, mass, frame.com, frame.axes, more)
         uid = _load(client, text, flags, fixed=False)
     if uid < 0:
         raise EngineError("PyBullet refused the body")
     if mass > 0:
         _undamp(client, uid, -1, localInertiaDiagonal=[float(v) for v in frame.moments])
-    p.setCollisionFilterGroupMask(uid, -1, *collision_filter(collision_mask), physicsClientId=client)
+    for link in range(-1, p.getNumJoints(uid, physicsClientId=client)):
+        p.setCollisionFilterGroupMask(uid, link, *collision_filter(collision_mask), physicsClientId=client)
     return int(uid)
+
+
+def keep_ends_apart(client: int, moving: Iterable[int]) -> None:
+    """Let the ends of round bodies touch none of the bodies and systems that move (`rest`)."""
+    links = {uid: p.getNumJoints(uid, physicsClientId=client) for uid in moving}
+    for uid, other in permutations(links, 2):
+        # A rigid body with ends has them as its one link.
+        if links[uid] == 1 and p.getJointInfo(uid, 0, physicsClientId=client)[2] == p.JOINT_FIXED:
+            for link in range(-1, links[other]):
+                p.setCollisionFilterPair(uid, other, 0, link, 0, physicsClientId=client)
 
 
 def make_articulated(

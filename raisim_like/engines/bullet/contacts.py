@@ -5,6 +5,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Container
+
 import numpy as np
 
 from raisim_like.contact import Contact
@@ -26,18 +28,19 @@ def touching(client: int, body: int, other: int) -> bool:
     return any(point[9] > 0.0 for point in p.getContactPoints(body, other, physicsClientId=client))
 
 
-def contacts_of(client: int, body: int, impulse_per_force: float) -> list[Contact]:
-    """All contact points of a body."""
+def contacts_of(client: int, body: int, impulse_per_force: float, rigid: Container[int]) -> list[Contact]:
+    """All contact points of a body. rigid: bodies whose links are parts of one and the same."""
     found = []
     # When asked for one body, Bullet swaps the bodies of a pair but not its friction directions, so ask for all.
     for c in p.getContactPoints(physicsClientId=client):
         if body not in (c[1], c[2]):
             continue
         a, b, on_b, sign = (0, 1, c[6], 1.0) if c[1] == body else (1, 0, c[5], -1.0)
+        link_a, link_b = (-1 if c[1 + k] in rigid else c[3 + k] for k in (a, b))
         tangential = np.array(c[11]) * c[10] + np.array(c[13]) * c[12]
         found.append(
             Contact(
-                c[1 + a], c[1 + b], c[3 + a], c[3 + b], np.array(on_b), sign * np.array(c[7]), -c[8],
+                c[1 + a], c[1 + b], link_a, link_b, np.array(on_b), sign * np.array(c[7]), -c[8],
                 c[9] * impulse_per_force, sign * tangential * impulse_per_force,
             )
         )  # fmt: skip

@@ -29,10 +29,9 @@ def may_roll(shapes: Iterable[Shape], mass: float, frame: BodyFrame) -> bool:
     return frame.turns_easily(mass) and any(shape.kind in ("cylinder", "capsule", "hull") for shape in shapes)
 
 
-def with_ends(shapes: Iterable[Shape]) -> Iterator[Shape]:
-    """The shapes, with one more inside each end of cylinders and capsules: the ends then have contacts of their own."""
+def ends(shapes: Iterable[Shape]) -> Iterator[Shape]:
+    """A shape inside each end of cylinders and capsules. They get contacts of their own, with static bodies alone."""
     for shape in shapes:
-        yield shape
         if shape.kind not in ("cylinder", "capsule"):
             continue
         radius, length = shape.size

@@ -82,8 +82,13 @@ def normalised_urdf(model: UrdfModel, enforce_limits: bool = True) -> str:
     return "\n".join(lines)
 
 
-def compound_urdf(shapes: Sequence[Shape], mass: float, com: NDArray[Any], axes: NDArray[Any]) -> str:
-    """URDF text of one rigid body of several shapes; its inertia is set afterwards, along the columns of `axes`."""
+def compound_urdf(
+    shapes: Sequence[Shape], mass: float, com: NDArray[Any], axes: NDArray[Any], more: Sequence[Shape] = ()
+) -> str:
+    """URDF text of one rigid body of several shapes; its inertia is set afterwards, along the columns of `axes`.
+
+    more: shapes on a link of their own (link 0), which is massless and does not move against the body.
+    """
     inertial = f'<inertial>{_origin(transform(axes, com))}<mass value="{float(mass)!r}"/>'
     lines = ['<?xml version="1.0"?>', '<robot name="compound">', f'<link name="body">{inertial}']
     lines.append('<inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>')
@@ -91,7 +96,13 @@ def compound_urdf(shapes: Sequence[Shape], mass: float, com: NDArray[Any], axes:
         body = _geometry(shape)
         concave = ' concave="yes"' if shape.kind == "mesh" else ""
         lines.append(f"<collision{concave}>{body}</collision><visual>{body}</visual>")
-    return "\n".join([*lines, "</link>", "</robot>"])
+    lines.append("</link>")
+    if more:
+        lines.append('<link name="more"><inertial><mass value="0"/>'
+                     '<inertia ixx="0" iyy="0" izz="0" ixy="0" ixz="0" iyz="0"/></inertial>')
+        lines += [f"<collision>{_geometry(shape)}</collision>" for shape in more]
+        lines.append('</link><joint name="fixed" type="fixed"><parent link="body"/><child link="more"/></joint>')
+    return "\n".join([*lines, "</robot>"])
 
 
 def _kind(link: UrdfLink, enforce_limits: bool) -> str:

@@ -11,7 +11,7 @@ import numpy as np
 from raisim_like.batch import Preset
 from raisim_like.contact import Contact
 from raisim_like.engines.body_frame import BodyFrame
-from raisim_like.engines.bullet.bodies import make_articulated, make_body
+from raisim_like.engines.bullet.bodies import keep_ends_apart, make_articulated, make_body
 from raisim_like.engines.bullet.contacts import contacts_of, link_impulses, touching
 from raisim_like.engines.bullet.friction import factors
 from raisim_like.engines.bullet.pd import HOLD, ImplicitPd, blocks
@@ -132,7 +132,12 @@ class BulletWorld:
         uid = make_body(self.client, shapes, mass, frame, collision_mask)
         self.bodies[uid] = _Body(material, frame, mass, may_roll(shapes, mass, frame))
         self._set_solver()
+        self._keep_ends_apart()
         return uid
+
+    def _keep_ends_apart(self) -> None:
+        if any(body.rolls for body in self.bodies.values()):
+            keep_ends_apart(self.client, [*(u for u, body in self.bodies.items() if body.mass > 0), *self.systems])
 
     def _set_solver(self) -> None:
         """Settings that depend on the bodies that there are."""
@@ -189,6 +194,7 @@ class BulletWorld:
         uid = make_articulated(self.client, model, collision_mask, self_collision, enforce_limits)
         self.systems[uid] = ImplicitPd(self.client, uid, model, self.timestep)
         self._system_material[uid] = material
+        self._keep_ends_apart()
         return uid
 
     def set_base_pose(self, body: int, position: Array, quaternion: Array) -> None:
@@ -266,7 +272,7 @@ class BulletWorld:
         return touching(self.client, body, other)
 
     def contacts(self, body: int) -> list[Contact]:
-        return contacts_of(self.client, body, self._impulse_per_force)
+        return contacts_of(self.client, body, self._impulse_per_force, self.bodies)
 
     def save(self) -> BulletSnapshot:
         snapshot = BulletSnapshot(self.client, set(self.bodies), self.systems, self._block, self._pending.copy())
