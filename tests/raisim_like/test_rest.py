@@ -70,6 +70,20 @@ def test_what_lies_untouched_stays(engine: str, preset: Preset, mass: float, fri
     world.close()
 
 
+def test_bars_stay_at_low_friction_however_they_lie(engine: str) -> None:
+    world = World(engine, DT)
+    world.set_default_material(0.1)
+    world.add_ground()
+    bars = [world.add_body([Shape("cylinder", (0.008, 0.14))], 0.06, solid_cylinder(0.008, 0.14, 0.06))
+            for _ in range(8)]  # fmt: skip
+    starts = [np.array([0.3 * i, 0.2 * i, 0.008]) for i in range(len(bars))]
+    for i, (one, start) in enumerate(zip(bars, starts, strict=True)):
+        one.set_state(start, wxyz(Rotation.from_euler("z", 0.7 * i) * LYING))
+    world.integrate(round(5.0 / DT))
+    assert np.array([one.position for one in bars]) == pytest.approx(np.array(starts), abs=1e-3)
+    world.close()
+
+
 @pytest.mark.parametrize("preset", ["faithful", "fast"])
 @pytest.mark.parametrize(("radius", "length", "mass"), [(0.008, 0.14, 0.012), (0.0335, 0.1, 0.35)])
 def test_a_cylinder_rolls_down_a_slope(engine: str, preset: Preset, radius: float, length: float, mass: float) -> None:

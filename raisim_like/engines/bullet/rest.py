@@ -19,7 +19,9 @@ from raisim_like.shapes import Shape
 BREAKING_THRESHOLD = 0.005
 """Bullet multiplies it by a shape's radius. At 0.001 a standing can drops the point that it rocks away from."""
 ROLLING_FRICTION = 2e-5
-"""m, of static bodies: contact points are found to some micrometres, and may be that far from where they should be."""
+"""m, between round and static bodies: contact points, found to some micrometres, may be that far from their places."""
+LEAST_FRICTION = 0.05
+"""A body's coefficient, below which its rolling friction is less."""
 DISC = 0.004
 """m. Thickness of the discs at a cylinder's ends; Bullet rounds their edges by 1 mm."""
 

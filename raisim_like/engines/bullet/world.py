@@ -16,7 +16,7 @@ from raisim_like.engines.bullet.contacts import contacts_of, link_impulses, touc
 from raisim_like.engines.bullet.friction import factors
 from raisim_like.engines.bullet.pd import HOLD, ImplicitPd, blocks
 from raisim_like.engines.bullet.quiet_pybullet import pybullet as p
-from raisim_like.engines.bullet.rest import BREAKING_THRESHOLD, ROLLING_FRICTION, may_roll
+from raisim_like.engines.bullet.rest import BREAKING_THRESHOLD, LEAST_FRICTION, ROLLING_FRICTION, may_roll
 from raisim_like.engines.bullet.shapes import xyzw
 from raisim_like.engines.bullet.state import BulletSnapshot
 from raisim_like.engines.pending import Pending
@@ -60,6 +60,7 @@ class BulletWorld:
         self.bodies: dict[int, _Body] = {}
         self.systems: dict[int, ImplicitPd] = {}
         self._system_material: dict[int, str] = {}
+        self._friction: dict[str, float] = {}
         self._set_solver()
         p.setPhysicsEngineParameter(
             enableConeFriction=1,
@@ -150,11 +151,15 @@ class BulletWorld:
             physicsClientId=self.client,
         )
         self._threshold = BREAKING_THRESHOLD if rolls else CONTACT_BREAKING_THRESHOLD
+        self._set_rolling()
+
+    def _set_rolling(self) -> None:
+        """Rolling friction of static bodies. Bullet multiplies it by the coefficient of the body that rolls."""
+        least = min((self._friction.get(b.material, 1.0) for b in self.bodies.values() if b.rolls), default=0.0)
+        rolling = ROLLING_FRICTION / max(least, LEAST_FRICTION) if least else 0.0
         for uid, body in self.bodies.items():
             if body.mass == 0:
-                p.changeDynamics(
-                    uid, -1, rollingFriction=ROLLING_FRICTION if rolls else 0.0, physicsClientId=self.client
-                )
+                p.changeDynamics(uid, -1, rollingFriction=rolling, physicsClientId=self.client)
 
     def remove(self, body: int) -> None:
         p.removeBody(body, physicsClientId=self.client)
@@ -174,6 +179,8 @@ class BulletWorld:
                 p.changeDynamics(
                     uid, link, lateralFriction=coefficients[material], restitution=0.0, physicsClientId=self.client
                 )
+        self._friction = coefficients
+        self._set_rolling()
 
     def set_body_state(self, body: int, state: Array) -> None:
         inertial = [float(v) for v in self.bodies[body].frame.to_inertial(state)]
