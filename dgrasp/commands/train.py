@@ -72,7 +72,7 @@ def _no_config(config: Config) -> ConfigError:
     hours = steps / (_STEPS_PER_CORE[config.engine] * workers) / 3600.0
     if config.ppo.max_minutes is not None:
         hours = min(hours, config.ppo.max_minutes / 60.0)
-    took = (f"about {hours / 24:,.0f} days" if hours >= 48
+    took = (f"about {hours / 24:,.0f} days" if hours >= 2 * 24
             else f"about {hours:,.0f} hours" if hours >= 2 else "under 2 hours")
     return ConfigError(f"no --cfg. Without one this would start the paper's recipe on {labels} labels: {epochs:,} "
                        f"epochs, {steps:,} control steps, {took} on {workers} cores. Expected "
