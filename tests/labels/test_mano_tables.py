@@ -223,7 +223,7 @@ def test_graspttas_vector_and_contactopts_transform(mini: MiniDexYcb, tmp_path: 
         ({"hand_pose": None}, {}, "no hand_pose"),
         ({"object_rotation": None}, {}, "no object_rotation"),
         ({"object": None}, {}, "with --object"),
-        ({"betas": np.full((N, 10), 50.0)}, {}, "betas beyond 20"),
+        ({"betas": np.full((N, 10), 50.0)}, {}, "a.npz: betas beyond 20"),
         ({"object_translation": np.full((N, 3), 9.0)}, {}, "no label is left"),
     ],
 )  # fmt: skip
@@ -275,8 +275,9 @@ GERMAN = CSV.replace(",", ";").replace(".", ",")
         b"Unnamed: 0;object;transl_0;transl_1;transl_2;betas_0\n0;004;0,5;-1,25e-1;2;0\n1;061;1;2,5;3;-0,75\n",
         b'"object","transl_0","transl_1","transl_2","betas_0"\n"004","0.5","-0.125","2","0"\n\n'
         b"061, 1, 2.5, 3, -0.75\n,,,,\n",
+        b'object,transl_0,transl_1,transl_2,betas_0\n004,"0,5","-1,25e-1",2,0\n061,1,"2,5",3,"-0,75"\n',
     ],
-    ids=range(12),
+    ids=range(13),
 )  # fmt: skip
 def test_csv_of_spreadsheets_and_pandas(tmp_path: Path, raw: bytes) -> None:
     (tmp_path / "a.csv").write_bytes(raw)

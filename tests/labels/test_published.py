@@ -63,6 +63,21 @@ def test_rotation_matrices_and_6d(tmp_path: Path) -> None:
             read(tmp_path / "a.npz", None, global_orient=R, hand_pose=bad)
 
 
+def test_poses_that_hold_the_wrists_rotation_too(tmp_path: Path) -> None:
+    orient, pose = rotations()
+    whole = np.concatenate([orient, pose], axis=1)
+    R = matrices(whole)
+    for form in (whole, whole.reshape(N, 16, 3), R, R.reshape(N, 144), R[..., :2].swapaxes(2, 3).reshape(N, 16, 6)):
+        table = read(tmp_path / "a.npz", None, hand_pose=form)
+        np.testing.assert_allclose(table.values["global_orient"], orient, atol=1e-12)
+        np.testing.assert_allclose(table.values["hand_pose"], pose, atol=1e-12)
+        assert table.matrices == (form.size > whole.size)
+    with pytest.raises(DataError, match=r"16 rotations, .* also global_orient"):
+        read(tmp_path / "a.npz", None, hand_pose=R, global_orient=orient)
+    with pytest.raises(DataError, match="hand_pose has 51 numbers per row; expected 1 to 45, 90 or 135; or, with"):
+        read(tmp_path / "a.npz", None, hand_pose=np.zeros((N, 51)))
+
+
 @pytest.mark.parametrize("source", ["hamer", "wilor"])
 def test_estimators(tmp_path: Path, source: str) -> None:
     orient, pose = rotations()
@@ -161,6 +176,8 @@ def test_other_npy_files(tmp_path: Path, change: dict[str, Any], message: str) -
     np.save(tmp_path / "b.npy", np.zeros((2, 3)))
     with pytest.raises(DataError, match="expected DexGraspNet's array of dictionaries"):
         read_mano_table(tmp_path / "b.npy", "004", published=PUBLISHED["dexgraspnet"])
+    with pytest.raises(DataError, match=r"b\.npy: a \.npy file.*--from dexgraspnet"):
+        read_mano_table(tmp_path / "b.npy", "004")
 
 
 def test_labels_of_an_added_object(
