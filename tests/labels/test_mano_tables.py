@@ -224,7 +224,7 @@ def test_graspttas_vector_and_contactopts_transform(mini: MiniDexYcb, tmp_path: 
         ({"object_rotation": None}, {}, "no object_rotation"),
         ({"object": None}, {}, "with --object"),
         ({"betas": np.full((N, 10), 50.0)}, {}, "a.npz: betas beyond 20"),
-        ({"object_translation": np.full((N, 3), 9.0)}, {}, "no label is left"),
+        ({"object_translation": np.full((N, 3), 9.0)}, {}, "m from its origin"),
     ],
 )  # fmt: skip
 def test_what_is_refused(
@@ -235,7 +235,8 @@ def test_what_is_refused(
     file = write_npz(tmp_path / "a.npz", arrays)
     given = {key: value for key, value in (GIVEN | options).items() if value}
     assert import_file(mini, file, *words(given)) == 2
-    assert message in capsys.readouterr().err
+    printed = capsys.readouterr()
+    assert message in printed.err + printed.out
     assert not (mini.root / "out.npz").exists()
 
 

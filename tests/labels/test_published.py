@@ -58,6 +58,12 @@ def test_rotation_matrices_and_6d(tmp_path: Path) -> None:
     skewed = columns.reshape(N, 15, 2, 3) * 3.0
     skewed[:, :, 1] += 0.4 * skewed[:, :, 0]
     np.testing.assert_allclose(rotation_vectors(skewed.reshape(N, 90), rows_of_6d=False), pose, atol=1e-12)
+    # Matrices of three rows and two columns say themselves what they are.
+    table = read(tmp_path / "a.npz", None, global_orient=R[..., :2], hand_pose=fingers[..., :2])
+    np.testing.assert_allclose(table.values["global_orient"], orient, atol=1e-12)
+    np.testing.assert_allclose(table.values["hand_pose"], pose, atol=1e-12)
+    with pytest.raises(DataError, match="expected no --rotation6d rows then"):
+        read_mano_table(tmp_path / "a.npz", "004", rows_of_6d=True)
     for bad in (fingers * 2.0, -fingers, np.zeros_like(fingers)):
         with pytest.raises(DataError, match="row 0: hand_pose holds a matrix that is no rotation"):
             read(tmp_path / "a.npz", None, global_orient=R, hand_pose=bad)
@@ -67,7 +73,8 @@ def test_poses_that_hold_the_wrists_rotation_too(tmp_path: Path) -> None:
     orient, pose = rotations()
     whole = np.concatenate([orient, pose], axis=1)
     R = matrices(whole)
-    for form in (whole, whole.reshape(N, 16, 3), R, R.reshape(N, 144), R[..., :2].swapaxes(2, 3).reshape(N, 16, 6)):
+    for form in (whole, whole.reshape(N, 16, 3), R, R.reshape(N, 144), R[..., :2].swapaxes(2, 3).reshape(N, 16, 6),
+                 R[..., :2]):
         table = read(tmp_path / "a.npz", None, hand_pose=form)
         np.testing.assert_allclose(table.values["global_orient"], orient, atol=1e-12)
         np.testing.assert_allclose(table.values["hand_pose"], pose, atol=1e-12)
@@ -125,6 +132,8 @@ def test_a_sequence_of_grab(tmp_path: Path) -> None:
     # Its object is turned by row vectors times the matrix: the other way round.
     np.testing.assert_array_equal(table.values["object_rotation"], -orient)
     np.testing.assert_array_equal(table.values["global_orient"], orient)
+    with pytest.raises(DataError, match=r"a\.npz: no rhand; expected a sequence of GRAB with its right hand"):
+        read(tmp_path / "a.npz", "grab", lhand={"params": hand}, object={"params": thing})
 
 
 def dexgraspnet(scales: list[float]) -> Array:

@@ -99,6 +99,8 @@ def read_mano_table(
     if scales.size:
         columns, scale = _of_scale(path, columns, scales, scale)
     names = columns.pop("object", None)
+    if rows_of_6d and any(np.ndim(array) > 2 and array.shape[-2:] == (3, 2) for array in columns.values()):
+        raise DataError(f"{path}: matrices of shape (3, 2) are first two columns; expected no --rotation6d rows then")
     columns |= _wrist_apart(path, columns)
     matrices = np.asarray(columns.get("hand_pose", [])).size > 45 * len(columns.get("hand_pose", []))
     values = {name: _checked(path, name, array, rows_of_6d) for name, array in columns.items()}
@@ -153,9 +155,16 @@ def _wrist_apart(path: Path, columns: dict[str, Any]) -> dict[str, Array]:
     if "global_orient" in columns:
         raise DataError(f"{path}: hand_pose has 16 rotations, the first of them the wrist's, and there is also "
                         "global_orient; expected the wrist's rotation once; leave one of them out")
-    flat = pose.reshape(len(pose), -1)
+    flat = _flat(pose)
     width = flat.shape[1] // 16
     return {"global_orient": flat[:, :width], "hand_pose": flat[:, width:]}
+
+
+def _flat(array: Array) -> Array:
+    """(n, width) of (n, ...). A matrix's first two columns (..., 3, 2) follow each other, as 6D numbers do."""
+    if array.ndim > 2 and array.shape[-2:] == (3, 2):
+        array = array.swapaxes(-1, -2)
+    return array.reshape(len(array), -1)
 
 
 def _checked(path: Path, name: str, array: Any, rows_of_6d: bool) -> Array:
@@ -166,7 +175,7 @@ def _checked(path: Path, name: str, array: Any, rows_of_6d: bool) -> Array:
         raise DataError(f"{path}: {name} has shape {array.shape}; expected (rows, numbers), at most {MAX_ROWS} rows")
     if not len(array):
         return np.zeros((0, 1))
-    flat = array.reshape(len(array), -1)
+    flat = _flat(array)
     if flat.shape[1] not in WIDTHS[name]:
         widths = WIDTHS[name]
         wanted = " or ".join(map(str, widths)) if len(widths) < 4 else f"{widths[0]} to {widths[-1]}"

@@ -76,6 +76,8 @@ def _grab_sequence(path: Path) -> Columns | None:
     if path.suffix != ".npz":
         return None
     with open_npz(path, "sequence of GRAB", MAX_SEQUENCE_BYTES) as archive:
+        if "rhand.npy" not in archive.names and "lhand.npy" in archive.names:
+            raise DataError(f"{path}: no rhand; expected a sequence of GRAB with its right hand")
         if not {"rhand.npy", "object.npy"} <= set(archive.names):
             return None
         entries = {name: archive.read(name, "OU").item() for name in ("rhand", "object", "obj_name")
