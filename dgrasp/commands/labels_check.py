@@ -34,6 +34,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                         help="the data with the objects and the hand (default: as for training)")
     parser.add_argument("--hand", metavar="HAND", help="the hand, if it is not the hand of the data")
     parser.add_argument("--mano", metavar="FILE", help="the hand's MANO file; measures on MANO's skin")
+    parser.add_argument("--store", metavar="DIR", help="folder of added objects (default: data/objects)")
     parser.add_argument("--html", nargs="?", const="", metavar="PAGE",
                         help="write a page with a picture of each label, worst first (default: FILE with .html)")
 
@@ -54,7 +55,7 @@ def main(arguments: argparse.Namespace) -> int:
     if page is not None and not page.parent.is_dir():
         raise DataError(f"{page}: the folder {page.parent} does not exist")
     config = make_config({"data": arguments.data, "hand": arguments.hand, "labels": {"source": str(arguments.file)},
-                          "eval": {"mano": arguments.mano}}, "labels check")
+                          "eval": {"mano": arguments.mano}, "objects": arguments.store}, "labels check")
     choice = resolve(config)
     print(choice.describe(), flush=True)
     hand, objects = build_hand(choice), build_objects(choice, config)

@@ -207,6 +207,13 @@ def test_labels_of_an_added_object(
     labels = read_native(tmp_path / "out.npz")
     assert [(label.object_id, label.index) for label in labels] == [("my_box", 0), ("my_box", 1)]
     np.testing.assert_allclose(labels[1].T_WH[:3, 3], [0.09, 0.0, 0.0], atol=1e-12)
+    # The check looks in the folder that it is told.
+    check = ["labels", "check", str(tmp_path / "out.npz"), "--data", "free", "--store"]
+    (tmp_path / "meshes").mkdir()
+    assert main([*check, str(tmp_path / "store")]) == 0
+    assert "2 labels of 1 objects" in capsys.readouterr().out
+    assert main([*check, str(tmp_path / "meshes")]) == 2
+    assert "unknown object 'my_box'" in (printed := capsys.readouterr().err) and "--store DIR" in printed
 
 
 @pytest.mark.parametrize(
