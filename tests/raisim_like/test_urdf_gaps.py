@@ -120,7 +120,6 @@ def test_mimic_joints_are_named(tmp_path: Path) -> None:
         robot(tmp_path, [INERTIAL], '<mimic joint="j1" multiplier="0.5"/>')
 
 
-@pytest.mark.parametrize("engine", ["pybullet", "mujoco"])
 def test_scaled_meshes_collide_at_their_scale(tmp_path: Path, engine: str) -> None:
     write_obj(tmp_path / "part.obj", corners(1.0, 1.0, 1.0))
     text = collision('<mesh filename="part.obj" scale="0.1 0.1 0.04"/>') + collision(
