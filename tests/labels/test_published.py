@@ -95,6 +95,12 @@ def test_estimators(tmp_path: Path, source: str) -> None:
     table = read(tmp_path / "a.npz", source, **arrays)
     np.testing.assert_array_equal(table.values["transl"], far)
     assert set(table.values) == {"global_orient", "hand_pose", "betas", "transl"}
+    # The model's whole output, in which they are a dictionary.
+    inner = {name: arrays.pop(name) for name in ("global_orient", "hand_pose", "betas")}
+    nested = read(tmp_path / "a.npz", source, **arrays, pred_mano_params=np.array(inner, dtype=object))
+    for name, values in table.values.items():
+        np.testing.assert_array_equal(nested.values[name], values)
+    arrays |= inner
     with pytest.raises(DataError, match=r"a\.npz: row 1: right is 0, a left hand"):
         read(tmp_path / "a.npz", source, **{**arrays, "right": np.array([1, 0, 1])})
 

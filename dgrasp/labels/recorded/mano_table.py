@@ -208,6 +208,10 @@ def _read_npz(path: Path, published: Published | None) -> dict[str, Any]:
             if published is not None and name in ("right", "is_right", "scale"):
                 values[name] = archive.read(inside, "biuf")
                 continue
+            if published is not None and inside == published.inner:
+                found = archive.read(inside, "O").item()
+                values = {key: found[key] for key in WIDTHS if isinstance(found, dict) and key in found} | values
+                continue
             if published is not None and (name in values or name not in (*WIDTHS, "object")):
                 continue
             if archive.names.count(file) > 1 or (name not in WIDTHS and name != "object") or inside == file:

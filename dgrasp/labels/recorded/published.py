@@ -33,12 +33,14 @@ MAX_SEQUENCE_BYTES = 2**30
 class Published:
     """One source. answers: to the questions of `conventions.CHOICES`.
 
-    names: name in its files -> name of the quantity in `mano_table.WIDTHS`. read: reads the columns of a file of its
+    names: name in its files -> name of the quantity in `mano_table.WIDTHS`. inner: name of a dictionary of quantities
+    in a .npz. read: reads the columns of a file of its
     own form; None for .npz and .csv alone. adapt: changes columns so that they mean what a table's do.
     """
 
     answers: Mapping[str, str]
     names: Mapping[str, str] = field(default_factory=dict)
+    inner: str | None = None
     read: Callable[[Path], Columns | None] = lambda path: None
     adapt: Callable[[Columns], Columns] = lambda columns: columns
 
@@ -158,7 +160,7 @@ _ESTIMATOR = Published(
     {"pose": "axis-angle", "mean": "flat", "fingers": "mano", "transl": "mano"},
     {"pred_cam_t_full": "transl", "pred_cam_t": "transl", "cam_t_full": "transl", "cam_t": "transl",
      "pred_betas": "betas"},
-    adapt=_right_hands,
+    inner="pred_mano_params", adapt=_right_hands,
 )  # fmt: skip
 PUBLISHED: dict[str, Published] = {
     "hamer": _ESTIMATOR,
