@@ -11,9 +11,9 @@ import pytest
 import trimesh
 
 from dgrasp.errors import DataError
+from dgrasp.geometry.polygons import triangulated
 from dgrasp.objects.add import mesh_reader
 from dgrasp.objects.add.mesh_reader import read_mesh_file
-from dgrasp.objects.add.polygons import triangulated
 from dgrasp.objects.add.repair import repair
 from tests.objects.meshes import QUADS, SIZE, VOLUME, box, corners, save, solid_volume
 

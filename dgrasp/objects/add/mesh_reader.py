@@ -14,8 +14,8 @@ from typing import Literal
 import numpy as np
 
 from dgrasp.errors import DataError
+from dgrasp.geometry.obj_file import read_obj
 from dgrasp.objects.add.glb_file import read_glb
-from dgrasp.objects.add.obj_file import read_obj
 from dgrasp.objects.add.ply_file import read_ply
 from dgrasp.objects.add.stl_file import read_stl
 from dgrasp.types import Array

@@ -8,8 +8,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from dgrasp.errors import DataError
-from dgrasp.objects.add.obj_file import check_commas
-from dgrasp.objects.add.polygons import triangulated
+from dgrasp.geometry.obj_file import check_commas
+from dgrasp.geometry.polygons import triangulated
 from dgrasp.types import Array
 
 _TYPES = {"char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4", "float": "f4",

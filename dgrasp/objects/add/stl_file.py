@@ -8,7 +8,7 @@ import struct
 import numpy as np
 
 from dgrasp.errors import DataError
-from dgrasp.objects.add.obj_file import check_commas, plain_text
+from dgrasp.geometry.obj_file import check_commas, plain_text
 from dgrasp.types import Array
 
 _ROW = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
