@@ -1,5 +1,7 @@
 """Replays for the page's viewer: choose the episodes, and pack meshes and poses as base64 of 16-bit numbers.
 
+`hand` and `objects` have meshes of the surfaces; `shapes` has the same of the collision shapes, or is null if a stored
+sequence lacks them.
 A mesh: `v` (V x 3, uint16) are vertices, vertex = `lo` (3,) + `step` * v, m; `f` (F x 3, uint16) are faces.
 A replay of n frames: `p` (n x B x 3, uint16) are positions, unpacked with the replay's own `lo` and `step`; `q` (n x B
 x 4, int16) are quaternions w, x, y, z times 32767; `c` (n, uint32) has a bit for each part, set if it touches the
@@ -63,10 +65,10 @@ def pack(
     shown: Sequence[tuple[str, EpisodeRecord, Row]], meshes: Mapping[str, DisplayMeshes]
 ) -> dict[str, Any]:
     """The page's data for episodes (group, record, row), with the meshes of their objects; plain JSON values."""
-    first = next(iter(meshes.values()))
+    shapes = {name: of.colliding() for name, of in meshes.items() if of.shapes}
     return {
-        "hand": [_mesh(part) for part in first.hand],
-        "objects": {name: _mesh(of.object) for name, of in meshes.items()},
+        **_bodies(meshes),
+        "shapes": _bodies(shapes) if len(shapes) == len(meshes) else None,
         "table": {"on": TABLE_TOP, "lowered": LOWERED_TOP},
         "replays": [_replay(group, record, row, meshes[record.label.object_id]) for group, record, row in shown],
     }
@@ -95,6 +97,13 @@ def _replay(group: str, record: EpisodeRecord, row: Row, meshes: DisplayMeshes) 
         "lo": lo, "step": step, "p": _text(places, "<u2"), "q": _text(np.rint(q * 32767.0), "<i2"),
         "c": _text(bits, "<u4"),
     }  # fmt: skip
+
+
+def _bodies(meshes: Mapping[str, DisplayMeshes]) -> dict[str, Any]:
+    """The hand's parts, which are the same for all objects, and the objects."""
+    first = next(iter(meshes.values()))
+    return {"hand": [_mesh(part) for part in first.hand],
+            "objects": {name: _mesh(of.object) for name, of in meshes.items()}}
 
 
 def _mesh(mesh: Mesh) -> dict[str, Any]:

@@ -32,12 +32,16 @@ td:first-child, th:first-child { text-align: left; }
 
 
 def label_pictures(
-    labels: Sequence[GraspLabel], hand: HandModel, objects: Mapping[str, ObjectModel]
+    labels: Sequence[GraspLabel], hand: HandModel, objects: Mapping[str, ObjectModel], shapes: bool = False
 ) -> dict[int, Array]:
-    """Pictures (height, width, 3) uint8 of the grasps, by label index; one stage per object draws all its labels."""
+    """Pictures (height, width, 3) uint8 of the grasps, by label index; one stage per object draws all its labels.
+
+    shapes: draw the collision shapes in place of the surfaces.
+    """
     pictures: dict[int, Array] = {}
     for name in dict.fromkeys(label.object_id for label in labels):
-        stage = Stage(scene_meshes(hand, objects[name]))
+        meshes = scene_meshes(hand, objects[name])
+        stage = Stage(meshes.colliding() if shapes else meshes)
         for i, label in enumerate(labels):
             if label.object_id == name:
                 R, t = hand.part_poses(label.T_WH[None], label.hand_pose[None])
