@@ -171,7 +171,7 @@
   });
   slider.addEventListener("input", () => scrub(Number(slider.value)));
   shapes.addEventListener("change", () => setShapes(shapes.checked));
-  find("shapes-label").hidden = scene.shapes === null;
+  document.querySelectorAll(".of-shapes").forEach((e) => { e.hidden = scene.shapes === null; });
   play.addEventListener("click", () => setPlaying(!state.playing));
   find("home").addEventListener("click", () => { Object.assign(view, homeView(current())); state.dirty = true; });
   find("full").addEventListener("click", () => full(!box.classList.contains("full")));

@@ -205,10 +205,10 @@ are below.</p>
 <label>speed <select id="speed"><option value="0.1">0.1\u00d7</option><option value="0.25">0.25\u00d7</option>
 <option value="0.5">0.5\u00d7</option><option value="1" selected>1\u00d7</option>
 <option value="2">2\u00d7</option></select></label>
-<label id="shapes-label" title="What the physics collides (key s)"><input type="checkbox" id="shapes"
+<label class="of-shapes" title="What the physics collides (key s)"><input type="checkbox" id="shapes"
 autocomplete="off"{" checked" if shapes else ""}> collision shapes</label></div></div>
-<p class="hint">Drag to rotate, pinch or scroll (after a click) to zoom, arrow keys for single steps, space to play, s
-to see the collision shapes.</p>
+<p class="hint">Drag to rotate, pinch or scroll (after a click) to zoom, arrow keys for single steps, space to play<span
+class="of-shapes">, s to see the collision shapes</span>.</p>
 {strips}""")
 
 

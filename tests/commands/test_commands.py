@@ -128,6 +128,10 @@ def test_a_gif_is_written(folder, tmp_path):
     words = ["--baseline", "gt_pd", "--data", str(folder), "--gif", str(file)]
     assert run_command("test", [*words, "pool.kind=serial", "eval.window_s=0.3"]) == 0
     assert file.read_bytes().startswith(b"GIF89a")
+    surfaces = file.read_bytes()
+    assert run_command("test", [*words, "--shapes", "pool.kind=serial", "eval.window_s=0.3"]) == 0
+    # The box and the can collide as they look; the hand does not.
+    assert file.read_bytes().startswith(b"GIF89a") and file.read_bytes() != surfaces
 
 
 @pytest.mark.parametrize(
