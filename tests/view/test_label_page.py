@@ -5,9 +5,14 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from dgrasp.files.paths import data_root
+from dgrasp.labels.formats.native import read_native
+from dgrasp.objects.free import free_object
 from dgrasp.objects.model import object_model
+from dgrasp.scene.standing import standing
 from dgrasp.types import Array
 from dgrasp.view.label_page import SIZE, label_pictures
 from raisim_like.shapes import Shape
@@ -19,6 +24,18 @@ def blue(picture: Array) -> int:
     """The number of pixels that show the object, the only blue thing."""
     r, g, b = (picture[..., k].astype(int) for k in range(3))
     return int(((b > r + 25) & (b > g + 10)).sum())
+
+
+def test_hand_and_object_are_whole_in_the_picture() -> None:
+    # The tallest object, grasped at its rim, and standing.
+    chosen = [label for label in read_native(data_root() / "free" / "labels" / "free_test.npz")
+              if label.object_id == "019_pitcher_base" and label.index == 1]
+    objects = {"019_pitcher_base": free_object("019_pitcher_base", "ycb", False)}
+    picture = label_pictures(standing(chosen, objects), free_hand(), objects)[0].astype(int)
+    # Neither grey nor the table's colour.
+    colored = np.abs(picture[..., 0] - picture[..., 2]) > 25
+    assert colored.mean() > 0.05
+    assert not colored[[0, -1]].any() and not colored[:, [0, -1]].any()
 
 
 def test_the_shapes_are_drawn_in_place_of_the_mesh(tmp_path: Path) -> None:
