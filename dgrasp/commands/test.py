@@ -231,4 +231,4 @@ def write_gif(
         raise DataError(f"{path}: no episode lasted a single step, so there is nothing to show in a GIF")
     chosen = [there[i * len(there) // min(count, len(there))] for i in range(min(count, len(there)))]
     clips = [list(record_pictures(r, meshes[r.label.object_id], every=5, size=(320, 240))) for r in chosen]
-    write_atomic(path, gif_bytes(tile(clips, columns=3), 5 * chosen[0].dt))
+    write_atomic(path, gif_bytes(tile(clips, columns=min(len(clips), 3)), 5 * chosen[0].dt))

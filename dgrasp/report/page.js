@@ -40,7 +40,7 @@
   }
 
   const current = () => scene.replays[state.at];
-  const homeView = (r) => ({ yaw: r.yaw, pitch: 0.35, zoom: 1 });
+  const homeView = (r) => ({ yaw: r.yaw, pitch: 0.35, zoom: r.zoom });
 
   function fit(canvas) {
     const ratio = Math.min(window.devicePixelRatio || 1, 2);
@@ -61,7 +61,7 @@
     const r = scene.replays[Number(button.dataset.replay)], canvas = button.querySelector("canvas");
     fit(canvas);
     const frame = state.hovered === button ? state.hoverFrame : telling(r);
-    draw(canvas, scene, r, frame, { ...homeView(r), zoom: 1.25 }, colors, shapes.checked);
+    draw(canvas, scene, r, frame, { ...homeView(r), zoom: 1.25 * r.zoom }, colors, shapes.checked);
   }
 
   function show() {

@@ -20,7 +20,7 @@ import numpy as np
 from dgrasp.eval.summary import Row
 from dgrasp.scene.scene import LOWERED_TOP, TABLE_TOP
 from dgrasp.types import Array, EpisodeRecord
-from dgrasp.view.camera import viewpoint
+from dgrasp.view.camera import DISTANCE, viewpoint
 from dgrasp.view.meshes import DisplayMeshes, Mesh, blendable, body_poses
 
 SHOWN = 10
@@ -82,7 +82,7 @@ def _replay(group: str, record: EpisodeRecord, row: Row, meshes: DisplayMeshes) 
         q = np.concatenate([q, blendable(T_WG[:, None, :3, :3])], axis=1)
         t = np.concatenate([t, T_WG[:, None, :3, 3]], axis=1)
     t = np.clip(t, t[0, 0] - REACH, t[0, 0] + REACH)
-    target, yaw = viewpoint(record)
+    view = viewpoint(record)
     lo, step, places = _quantised(t)
     touching = np.asarray(record.contacts)[::stride] > 0.0
     bits = touching @ (1 << np.arange(touching.shape[1]))
@@ -93,7 +93,8 @@ def _replay(group: str, record: EpisodeRecord, row: Row, meshes: DisplayMeshes) 
         "metrics": {name: row[name] for name in shown if name in row},
         "n": len(t), "bodies": t.shape[1], "dt": record.dt * stride, "start": (record.window_start - 1) / stride,
         "stays": record.table_stays,
-        "yaw": round(yaw, 3), "target": [round(float(x), 4) for x in target],
+        "yaw": round(view.yaw, 3), "target": [round(float(x), 4) for x in view.target],
+        "zoom": round(DISTANCE / view.distance, 3),
         "lo": lo, "step": step, "p": _text(places, "<u2"), "q": _text(np.rint(q * 32767.0), "<i2"),
         "c": _text(bits, "<u4"),
     }  # fmt: skip

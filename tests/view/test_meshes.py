@@ -11,7 +11,7 @@ from dgrasp.hand.mano.skeleton import N_PARTS
 from dgrasp.hand.model import HandModel
 from dgrasp.objects.model import object_model
 from dgrasp.types import Array
-from dgrasp.view.camera import eye, viewpoint
+from dgrasp.view.camera import viewpoint
 from dgrasp.view.meshes import (
     OBJECT_FACES,
     PART_FACES,
@@ -157,10 +157,18 @@ def test_the_table_and_the_camera() -> None:
     assert table_tops(moved, 0.5, 0.25).tolist() == [0.5] * STEPS
     # An episode that begins in the label's pose has no table.
     assert table_tops(replace(moved, window_start=0), 0.5, 0.25).tolist() == [0.25] * STEPS
-    target, yaw = viewpoint(record)
+    target, yaw, distance = viewpoint(record)
     # At step 2: 0.65 of the object (0.5, 0, 0.58), 0.35 of the wrist (0.5, 0.1, 0.7), and 5 cm lower.
     assert target == pytest.approx([0.5, 0.035, 0.65 * 0.58 + 0.35 * 0.7 - 0.05])
-    assert np.linalg.norm(eye(target, yaw) - target) == pytest.approx(0.7)
+    assert distance == 0.7 and np.linalg.norm(viewpoint(record).eye - target) == pytest.approx(0.7)
+    # Wrist and object start within x 0.5, y 0 to 0.1, z 0.58 to 0.7 and have a target at (0.9, 0, 0.88).
+    there = np.eye(4)
+    there[:3, 3] = [0.9, 0.0, 0.88]
+    moving = viewpoint(replace(record, T_WG=standing(there, STEPS)))
+    assert moving.target == pytest.approx([0.7, 0.05, 0.73])
+    # Half of the way's diagonal and 12 cm fill half of the field of view of 40 degrees.
+    reach = np.linalg.norm([0.4, 0.1, 0.3]) / 2.0 + 0.12
+    assert moving.distance == pytest.approx(reach / np.sin(np.deg2rad(20.0)))
     # The palm faces -y of the wrist; the camera is on its side.
     palm = -record.T_WH[2, :2, 1]
     assert np.array([np.cos(yaw), np.sin(yaw)]) @ palm > 0.0
