@@ -7,44 +7,31 @@ from pathlib import Path
 from typing import Any
 from xml.etree.ElementTree import Element
 
-import numpy as np
-
 from raisim_like.shape_inertia import DENSITY, shape_inertia
 
 
 def fill_gaps(path: Path, root: Element, moving: list[dict[str, Any]]) -> None:
-    """Masses and inertias from the shapes of the moving links that state none; warnings name these, and mimic joints.
+    """Inertials from the shapes of the moving links that state no mass; a warning names these, and joints that mimic.
 
     A link that hangs on links without shapes of which one has a mass is left as it is: these carry it, as the wrist's
     sliders do in RaiSim's files. Links without shapes stay massless.
     """
-    filled, turned, unknown = [], [], []
+    filled, unknown = [], []
     for entry in moving:
-        massless = not any(mass > 0.0 for mass, _, _ in entry["inertials"])
-        inert = len(entry["inertials"]) == 1 and not entry["inertials"][0][2].any()
-        if not entry["shapes"] or not (massless or inert) or _carried(entry, moving):
+        if _has_mass(entry) or not entry["shapes"] or _carried(entry, moving):
             continue
         try:
             inertials = [shape_inertia(shape) for shape in entry["shapes"]]
         except ValueError as error:
             unknown.append(f"{entry['name']} ({error})")
             continue
-        total = sum(mass for mass, _, _ in inertials)
-        if total > 0.0 and massless:
+        if any(mass > 0.0 for mass, _, _ in inertials):
             entry["inertials"] = inertials
             filled.append(entry["name"])
-        elif total > 0.0:
-            mass, com, _ = entry["inertials"][0]
-            spread = sum(local + m * _spread(c - com) for m, c, local in inertials)
-            entry["inertials"] = [(mass, com, spread * mass / total)]
-            turned.append(entry["name"])
     state = "state <inertial> in these links to choose their masses"
     if filled:
         _warn(f"{path}: no <inertial> with a mass in {', '.join(filled)}; taken from the collision shapes at "
               f"{DENSITY:g} kg/m3; {state}")
-    if turned:
-        _warn(f"{path}: no <inertia> in {', '.join(turned)}; taken from the collision shapes, for the stated masses; "
-              "state <inertia> in these links to choose it")
     if unknown:
         _warn(f"{path}: no <inertial> in {', '.join(unknown)}; they are simulated with next to no mass; {state}")
     mimics = [f"{joint.get('name')} (of {mimic.get('joint')})" for joint in root.findall("joint")
@@ -54,15 +41,14 @@ def fill_gaps(path: Path, root: Element, moving: list[dict[str, Any]]) -> None:
               "meant, or make these joints fixed")
 
 
-def _spread(d: Any) -> Any:
-    """(3, 3) m^2: the inertia per mass of a point at d (3,)."""
-    return d @ d * np.eye(3) - np.outer(d, d)
+def _has_mass(entry: dict[str, Any]) -> bool:
+    return any(mass > 0.0 for mass, _, _ in entry["inertials"])
 
 
 def _carried(entry: dict[str, Any], moving: list[dict[str, Any]]) -> bool:
     above = entry["parent"]
     while above >= 0 and not moving[above]["shapes"]:
-        if any(mass > 0.0 for mass, _, _ in moving[above]["inertials"]):
+        if _has_mass(moving[above]):
             return True
         above = moving[above]["parent"]
     return False

@@ -103,19 +103,6 @@ def test_a_stated_mass_of_zero_is_none(tmp_path: Path) -> None:
     assert [link.mass for link in model.links] == pytest.approx([0.0, 6.0, 6.0])
 
 
-@pytest.mark.parametrize("inertia", ["", '<inertia ixx="0" iyy="0" izz="0"/>'])
-def test_a_mass_without_an_inertia(tmp_path: Path, inertia: str) -> None:
-    stated = f'<inertial><origin xyz="0 0 0.1"/><mass value="3"/>{inertia}</inertial>'
-    with pytest.warns(UserWarning, match=r"no <inertia> in l0; taken from the collision shapes, for the stated masses"):
-        model = robot(tmp_path, [stated + collision('<box size="0.1 0.2 0.3"/>')])
-    link = model.links[0]
-    # Half of the 6 kg of the shape: 3 / 12 (y^2 + z^2) and so on, and 3 x 0.1^2 across for a centre 0.1 m away.
-    assert link.mass == 3.0 and link.com[2] == pytest.approx(0.1)
-    np.testing.assert_allclose(link.inertia, np.diag([0.0325 + 0.03, 0.025 + 0.03, 0.0125]), atol=1e-12)
-    # A link without shapes is left as it is.
-    assert robot(tmp_path, [stated]).links[0].inertia == pytest.approx(np.zeros((3, 3)))
-
-
 def test_masses_on_the_links_before_are_left_there(tmp_path: Path) -> None:
     box = collision('<box size="0.1 0.2 0.3"/>')
     model = robot(tmp_path, [INERTIAL, "", box])
