@@ -186,7 +186,7 @@ def rotation_vectors(array: Array, rows_of_6d: bool) -> Array:
     """
     n, width = array.shape
     if width in (9, 135):
-        R = array.reshape(-1, 3, 3)
+        R: Array = array.reshape(-1, 3, 3)
         off = np.abs(np.einsum("nij,nkj->nik", R, R) - np.eye(3)).max(axis=(1, 2), initial=0.0)
         bad = np.flatnonzero((off > 1e-3) | (np.linalg.det(R) < 0.0))
     else:

@@ -38,7 +38,9 @@ def read_glb(raw: bytes, most_faces: int, most_rows: int) -> tuple[Array, Array]
     _check_extensions(content)
     blobs = [_buffer(buffer, b"" if index else chunk) for index, buffer in enumerate(content.get("buffers", []))]
     meshes: dict[int, list[tuple[Array, Array]]] = {}
-    vertices, faces, seen, shown = [np.zeros((0, 3))], [np.zeros((0, 3), dtype=np.int64)], 0, 0
+    vertices: list[Array] = [np.zeros((0, 3))]
+    faces: list[Array] = [np.zeros((0, 3), dtype=np.int64)]
+    seen, shown = 0, 0
     for index, T in _shown(content):
         if index not in meshes:
             meshes[index] = [_primitive(content, blobs, p) for p in content["meshes"][index]["primitives"]

@@ -207,7 +207,7 @@ def _joined(element: _Element, values: list[list[Array]]) -> dict[str, tuple[Arr
 
 def _strips(corners: Array) -> Array:
     """(F, 3) triangles of strips (C,) that a -1 ends; every second triangle is wound the other way round."""
-    faces = [np.zeros((0, 3), dtype=np.int64)]
+    faces: list[Array] = [np.zeros((0, 3), dtype=np.int64)]
     for strip in np.split(corners, np.flatnonzero(corners == -1)):
         strip = strip[strip >= 0]
         triangles = np.stack([strip[:-2], strip[1:-1], strip[2:]], axis=1)

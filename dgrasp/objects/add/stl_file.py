@@ -24,7 +24,7 @@ def read_stl(raw: bytes) -> tuple[Array, Array]:
     text = plain_text(raw).lstrip()
     count = struct.unpack_from("<I", raw, 80)[0] if len(raw) >= 84 else -1
     if len(raw) == 84 + 50 * count:
-        corners = np.frombuffer(raw, _ROW, count, 84)["corners"].astype(float).reshape(-1, 3)
+        corners: Array = np.frombuffer(raw, _ROW, count, 84)["corners"].astype(float).reshape(-1, 3)
     elif text[:5].lower() == b"solid" and b"\0" not in text:
         corners = _text_corners(text.replace(b"\r", b"\n"))
     elif count < 0:
