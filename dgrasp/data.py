@@ -38,8 +38,8 @@ class DataChoice:
     labels: the chosen labels.
     licence: the licence of the labels.
     source, split: the names of source and split ("file" for a label file outside the release).
-    inertia: that of the objects (`physics.official_compat`): "true"; "official", the authors' 1 kg m^2; or "mixed", true
-    for added objects alone.
+    inertia: of the objects (`physics.official_compat`): "true"; "official", the authors' 1 kg m^2; or "mixed", true for
+    added objects alone.
     comparable_with_paper: whether hand and labels are the paper's.
     notes: remarks on how the data was found.
     added: name -> object, for those of the labels' objects that are not among the 20 but were added by the user.
