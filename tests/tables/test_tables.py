@@ -167,6 +167,7 @@ def test_seeds_are_trained_apart_and_averaged(
 @pytest.mark.parametrize("words", [
     ["--baseline", "gt_pd"], ["--split", "test"], ["--labels", "dexycb"], ["--objects", "004_sugar_box"],
     ["--json", "x.json"], ["--report", "x.html"], ["--records", "x"], ["--gif", "x.gif"], ["--motion", "near"],
+    ["--shapes"],
 ])  # fmt: skip
 def test_a_table_refuses_what_it_has_no_use_for(
     words: list[str], folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
