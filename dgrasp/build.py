@@ -19,13 +19,13 @@ from dgrasp.pool import Pool, PoolSpec, make_pool
 from dgrasp.rl.collect import Actor
 from dgrasp.scene.standing import standing
 from raisim_like.errors import EngineError
-from raisim_like.registry import find_engine
+from raisim_like.registry import CONCAVE_MESHES, find_engine
 
 
 def build_objects(choice: DataChoice, config: Config) -> dict[str, ObjectModel]:
     """The physics models of the objects that the chosen labels need."""
     physics = config.physics
-    concave: Concave = "parts" if config.engine == "mujoco" else physics.concave
+    concave: Concave = physics.concave if config.engine in CONCAVE_MESHES else "parts"
 
     def build(name: str) -> ObjectModel:
         if name in choice.added:
