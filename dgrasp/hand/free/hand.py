@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
+from dgrasp.files.atomic import write_atomic
 from dgrasp.files.paths import data_root
 from dgrasp.hand.builder.build import primitive_links
 from dgrasp.hand.builder.urdf_writer import hand_urdf
@@ -35,8 +36,7 @@ def free_hand_urdf() -> str:
 def main(arguments: list[str]) -> None:
     """Write the URDF to the given file, by default to `URDF_PATH`."""
     path = Path(arguments[0]) if arguments else URDF_PATH
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(free_hand_urdf(), encoding="utf-8", newline="\n")
+    write_atomic(path, free_hand_urdf())
     print(path)
 
 
