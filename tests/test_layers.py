@@ -7,7 +7,7 @@ from pathlib import PurePosixPath
 
 import pytest
 
-from tests.imports import circles, imported_names, imports_within, modules, within
+from tests.imports import ROOT, circles, imported_names, imports_within, modules, within
 
 ROOMS = {
     "dgrasp": [
@@ -23,6 +23,8 @@ ROOMS = {
 """The modules and folders of each package, lowest first: each imports itself and what stands before it."""
 MOST_FILES = 16
 """Python modules in one folder, besides its `__init__`."""
+MOST_LINES = 320
+"""Lines of one module."""
 
 
 def room(module: str) -> str:
@@ -59,6 +61,12 @@ def test_no_folder_is_crowded(package: str) -> None:
     files = (PurePosixPath(path) for path, _ in modules(package))
     count = Counter(path.parent for path in files if path.name != "__init__.py")
     assert {str(folder): n for folder, n in count.items() if n > MOST_FILES} == {}
+
+
+@pytest.mark.parametrize("package", ROOMS)
+def test_no_module_is_long(package: str) -> None:
+    lines = {path: len((ROOT / path).read_text(encoding="utf-8").splitlines()) for path, _ in modules(package)}
+    assert {path: n for path, n in lines.items() if n > MOST_LINES} == {}
 
 
 @pytest.mark.parametrize(
