@@ -44,7 +44,7 @@ def build_hand(choice: DataChoice) -> HandModel:
         there, here = getattr(choice.labels.names, what), getattr(hand.layout.names, what)
         if there != here:
             other = next(pair for pair in zip_longest(there, here) if pair[0] != pair[1])
-            raise DataError(f"{choice.labels.source}: labels of {len(there)} {what}, but the hand {hand.id!r} has "
+            raise DataError(f"{choice.labels.path}: labels of {len(there)} {what}, but the hand {hand.id!r} has "
                             f"{len(here)}; the first difference is {other[0]!r} in the labels, {other[1]!r} in the "
                             "hand; choose the hand that the labels were made for (hand=)")
     return hand

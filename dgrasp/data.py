@@ -75,7 +75,7 @@ class DataChoice:
         return {
             "kind": self.kind,
             "hand": self.hand,
-            "labels": self.labels.source.name,
+            "labels": self.labels.path.name,
             "source": self.source,
             "split": self.split,
             "n_labels": len(self.labels.labels),
@@ -92,7 +92,7 @@ class DataChoice:
     def describe(self) -> str:
         """One line: data folder, hand, labels, their number, licence, inertia of the objects, and notes."""
         which = f"{self.source} {self.split}" if self.source != "file" else "a file's"
-        line = (f"data {self.kind} ({self.root}): hand {self.hand}, {which} labels ({self.labels.source.name}), "
+        line = (f"data {self.kind} ({self.root}): hand {self.hand}, {which} labels ({self.labels.path.name}), "
                 f"{len(self.labels.labels)} of {len(self.labels.objects)} objects; licence: {self.licence}")
         added = [f"{len(self.added)} of them added: {', '.join(self.added)}"] if self.added else []
         return "; ".join([line, *added, INERTIA[self.inertia], *self.notes])
