@@ -1,4 +1,4 @@
-"""Starting worker processes: from which programs that works, with how many threads, and what is said if they die."""
+"""Starting worker processes: from which programs that works, with how many threads, and the errors if they die."""
 
 from __future__ import annotations
 
@@ -30,13 +30,13 @@ def check_main() -> None:
     main = sys.modules.get("__main__")
     file = getattr(main, "__file__", None)
     if file is not None and getattr(main, "__spec__", None) is None and not os.path.isfile(file):
-        raise PoolError(f"{file}: worker processes start from the file of the script, and this one has none; save it "
-                        'as a file, with what it does below the line  if __name__ == "__main__":  (or take the pool '
-                        '"serial")')
+        raise PoolError(f"{file}: worker processes start from the file of the script, and this one has none; save the "
+                        'script as a file, put what it does below the line  if __name__ == "__main__":  (or take the '
+                        'pool "serial")')
 
 
 def lost_at_start(lost: WorkerLost) -> PoolError:
-    """What is said of a worker that died before it had made its environments."""
+    """The error for a worker that died before it had made its environments."""
     return PoolError(_GUARD if lost.exit_code == UNGUARDED else f"{lost}; is there enough memory for its worlds?")
 
 
