@@ -57,7 +57,7 @@ def main(arguments: argparse.Namespace) -> int:
 
 
 def _of_run(run_dir: Path, last: bool) -> tuple[Path, Checkpoint]:
-    """The best checkpoint of a run or its last one; says so where they differ. Epoch 0, before training, is neither."""
+    """The best checkpoint of a run or its last one; says so if they differ. Epoch 0 is never taken."""
     from dgrasp.rl.run.checkpoint import load
 
     newest, best = latest(run_dir), run_dir / BEST

@@ -62,9 +62,10 @@ class FileContent(NamedTuple):
 
 @dataclass(frozen=True)
 class LabelFormat:
-    """A format of label files. head: the first bytes of each, or several, of which each has one.
+    """A format of label files.
 
-    name, expected: what messages call it, and ask for.
+    head: the first bytes of its files, or several alternatives. name, expected: how messages name such a file, and how
+    they ask for one.
     """
 
     head: bytes | tuple[bytes, ...]

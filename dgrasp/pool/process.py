@@ -99,7 +99,7 @@ class ProcessPool(SizedPool):
         return _Member(process, ours)
 
     def _send_spec(self, w: int) -> None:
-        # Not an argument of the process: to hand those over blocks for good where the process ends before it reads.
+        # Not an argument of the process: passing one blocks forever if the process ends before it reads it.
         with suppress(OSError):
             self._members[w].connection.send(self._spec)
 

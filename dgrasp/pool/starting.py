@@ -12,7 +12,7 @@ from dgrasp.pool.base import PoolError, WorkerLost
 
 _THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 UNGUARDED = 91
-"""Exit code of a worker that ran the user's script up to its pool, in place of a worker's work."""
+"""Exit code of a worker that ran the user's script, up to the pool, instead of its own work."""
 _GUARD = (
     "a worker process runs the script that started it, up to the line that makes the pool; put what the script does "
     'below the line  if __name__ == "__main__":  (or take the pool "serial")'
@@ -22,8 +22,8 @@ _GUARD = (
 def check_main() -> None:
     """`PoolError` where workers could not start from this program's main module.
 
-    In a worker that has come to the pool of an unguarded script it ends the process; the pool that started the worker
-    then says what is wrong.
+    In a worker that runs an unguarded script this ends the process. The pool that started the worker then raises the
+    error.
     """
     if getattr(multiprocessing.current_process(), "_inheriting", False):
         os._exit(UNGUARDED)

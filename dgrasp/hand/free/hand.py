@@ -24,7 +24,7 @@ URDF_PATH = data_root() / "free" / "hand" / "free_hand.urdf"
 
 def free_hand_urdf() -> str:
     """The text of the URDF."""
-    # The words of the file that ships, names of then included: policies and results name the hash of its bytes.
+    # The comment of the file that ships, with the module names of its time: policies and results name the file's hash.
     command = "python -m dgrasp.hand.free_hand"
     comment = f"Written by `{command}` from free_skin.npz; change dgrasp/hand/free_anatomy.py, not this file."
     model = free_skin()
