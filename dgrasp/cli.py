@@ -11,9 +11,9 @@ from collections.abc import Sequence
 from importlib import import_module
 from typing import NoReturn
 
-from dgrasp import __version__
 from dgrasp.errors import DGraspError
 from dgrasp.rl.run.interrupts import Interrupted
+from dgrasp.version import __version__
 
 EXIT_BAD_INPUT, EXIT_INTERRUPTED = 2, 130
 COMMANDS = {

@@ -11,8 +11,8 @@ from tests.imports import ROOT, circles, imported_names, imports_within, modules
 
 ROOMS = {
     "dgrasp": [
-        "errors", "types", "files", "config", "geometry", "hand", "objects", "scene", "labels", "motion", "control",
-        "rl", "env", "pool", "methods", "data", "build", "eval", "synthesis", "view", "export", "report",
+        "version", "errors", "types", "files", "config", "geometry", "hand", "objects", "scene", "labels", "motion",
+        "control", "rl", "env", "pool", "methods", "data", "build", "eval", "synthesis", "view", "export", "report",
         "evaluation", "training", "request", "tables", "gym", "commands", "cli", "__main__",
     ],
     "raisim_like": [
@@ -87,6 +87,13 @@ def offenders(folder: str, *forbidden: str) -> list[str]:
     found = list(modules(folder))
     assert found, f"no modules below {folder}"
     return [f"{path} imports {name}" for path, names in found for name in sorted(names) if within(name, *forbidden)]
+
+
+def test_no_import_hides_behind_a_name() -> None:
+    """Only the command line imports by name; it stands above all that it names."""
+    sources = {path: (ROOT / path).read_text(encoding="utf-8") for package in ROOMS for path, _ in modules(package)}
+    by_name = ("import_module", "__import__", "from dgrasp import")
+    assert [path for path, source in sources.items() if any(word in source for word in by_name)] == ["dgrasp/cli.py"]
 
 
 @pytest.mark.parametrize("folder", ["dgrasp", "raisim_like"])

@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 import torch
 
-from dgrasp import __version__
 from dgrasp.config.experiment import Config
 from dgrasp.config.values import flat_keys
 from dgrasp.errors import ConfigError, DGraspError
@@ -36,6 +35,7 @@ from dgrasp.rl.run.log import (
 )
 from dgrasp.rl.storage import Rollout
 from dgrasp.rl.vec_env import VecEnv
+from dgrasp.version import __version__
 
 _SHARES = (10, 25, 50, 75)
 """Per cent of a training shorter than `eval.every` after which it is evaluated too."""
