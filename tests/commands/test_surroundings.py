@@ -60,8 +60,8 @@ def test_commands_run_without_home_and_user(tmp_path: Path) -> None:
 @pytest.mark.skipif(os.name != "posix", reason="a shell closes the streams")
 def test_a_training_runs_with_closed_streams(tmp_path: Path) -> None:
     words = ["train", "--cfg", "cfg/dexycb.yaml", "--data", "free", "--run", "run", "labels.objects=004_sugar_box",
-             "labels.limit_per_object=2", "ppo.epochs=1", "env.episode_steps=6", "env.grasp_steps=3", "ppo.hidden=[8]",
-             "eval.window_s=0.1", "pool.workers=2"]  # fmt: skip
+             "labels.limit_per_object=1", "ppo.epochs=1", "env.episode_steps=6", "env.grasp_steps=3", "ppo.hidden=[8]",
+             "eval.window_s=0.1", "pool.workers=1"]  # fmt: skip
     command = " ".join([f"'{sys.executable}' -m dgrasp", *(f"'{word}'" for word in words), "<&- >&-"])
     environment = {**os.environ, "PYTHONPATH": str(shipped_root()), "OMP_NUM_THREADS": "1"}
     done = subprocess.run(["sh", "-c", command], cwd=tmp_path, stderr=subprocess.PIPE, text=True, env=environment)
