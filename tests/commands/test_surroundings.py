@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import subprocess
 import sys
@@ -33,28 +34,32 @@ def test_without_a_home_the_cache_is_a_temporary_folder(monkeypatch: pytest.Monk
 
 
 _NO_HOME = """
-import pathlib, sys
+import json, pathlib, sys
 def no_home(*_):
     raise RuntimeError("Could not determine home directory.")
 pathlib.Path.home = no_home
 pathlib.Path.expanduser = no_home
 from dgrasp.cli import main
-sys.exit(main(sys.argv[1:]))
+for words in json.loads(sys.argv[1]):
+    code = main(words)
+    if code:
+        sys.exit(code)
 """
 
 
 def test_commands_run_without_home_and_user(tmp_path: Path) -> None:
     save(box(), tmp_path / "box.obj")
-    for words in (
+    commands = [
         ["object", "add", "box.obj", "--units", "m", "--to", "objects", "--shape", "parts"],
         ["test", "--baseline", "gt_pd", "--data", "free", "--objects", "004", "labels.limit_per_object=1",
          "eval.window_s=0.1", "pool.kind=serial"],
-    ):  # fmt: skip
-        done = subprocess.run(
-            [sys.executable, "-c", _NO_HOME, *words], cwd=tmp_path, capture_output=True, text=True,
-            env={"PYTHONPATH": str(shipped_root()), "OMP_NUM_THREADS": "1", "PATH": os.environ["PATH"]},
-        )  # fmt: skip
-        assert done.returncode == 0 and "Traceback" not in done.stderr, done.stderr
+    ]  # fmt: skip
+    done = subprocess.run(
+        [sys.executable, "-c", _NO_HOME, json.dumps(commands)], cwd=tmp_path, capture_output=True, text=True,
+        env={"PYTHONPATH": str(shipped_root()), "OMP_NUM_THREADS": "1", "PATH": os.environ["PATH"]},
+    )  # fmt: skip
+    assert done.returncode == 0 and "Traceback" not in done.stderr, done.stderr
+    assert (tmp_path / "objects" / "box").is_dir() and "success" in done.stdout, done.stdout
 
 
 @pytest.mark.skipif(os.name != "posix", reason="a shell closes the streams")
