@@ -26,7 +26,7 @@ demo: .venv/.installed
 # Bytecode is kept whatever the environment says, because the tests start many interpreters.
 test: .venv/.installed-dev
 	$(PY) -m ruff check .
-	$(PY) -m mypy -n 2
+	$(PY) -m mypy
 	PYTHONDONTWRITEBYTECODE= OMP_NUM_THREADS=1 $(PY) -m pytest -q -n 2 --dist loadfile --no-loadscope-reorder
 
 clean:
