@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -15,6 +15,7 @@ from dgrasp.pool.process import ProcessPool
 from dgrasp.pool.serial import SerialPool
 from dgrasp.rl.collect import Actor
 from dgrasp.scene.worlds import Worlds
+from tests.pool.mortal import Mortal
 from tests.scenes import make_spec
 
 STEPS = 6
@@ -91,28 +92,13 @@ def test_an_interrupted_collection_leaves_the_pool_usable(serial, parallel):
     assert np.array_equal(observation, serial.collect(_actor(), 4, EPISODE, lambda n: None).last_observation)
 
 
-@dataclass(frozen=True)
-class _Mortal(Actor):
-    """Sends a signal to the process that acts for a single environment, in its 20th control step."""
-
-    how: int
-    acted: list[int] = field(default_factory=list)
-
-    def means(self, observations, out):
-        if len(observations) == 1:
-            self.acted.append(1)
-            if len(self.acted) == 20:
-                os.kill(os.getpid(), self.how)
-        super().means(observations, out)
-
-
 @pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGSTOP])
 def test_a_lost_worker_is_replaced_and_its_experience_dropped(serial, how):
     """One worker is killed, or stopped so that it hangs; the experience of the other worker does not change."""
     reference = {k: v.copy() for k, v in vars(serial.collect(_actor(), 4, EPISODE, lambda n: None)).items()}
     pool = ProcessPool(make_spec(3, [*SHORT, "pool.hang_s=4"]), 2)
     try:
-        t = pool.collect(_Mortal(**vars(_actor()), how=how), 4, EPISODE, lambda n: None)
+        t = pool.collect(Mortal(**vars(_actor()), how=how), 4, EPISODE, lambda n: None)
         assert t.valid.tolist() == [True, False, True]
         for name, array in vars(t.valid_part()).items():
             expected = reference[name][[0, 2]] if len(reference[name]) == 3 else reference[name][:, [0, 2]]
