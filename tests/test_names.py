@@ -33,7 +33,7 @@ def test_files_and_folders_are_replaced_in_one_place() -> None:
     """Atomic writing has one home: nothing else renames what it wrote."""
     found = set()
     for path in sorted((ROOT / "dgrasp").rglob("*.py")):
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        for node in ast.walk(tree(path)):
             name = node.func.attr if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) else ""
             if name in ("rename", "renames", "mkstemp") or (name == "replace" and _is_os(node)):
                 found.add(path.relative_to(ROOT).as_posix())
