@@ -16,13 +16,13 @@ from dgrasp.config.experiment import Config
 from dgrasp.config.sections import INERTIA, Inertia, which_inertia
 from dgrasp.errors import DataError
 from dgrasp.files.paths import data_root, user_data_root
-from dgrasp.hand.store import AUTHORS_HAND, FREE_HAND, HandSource, authors_source, find_hand, free_source
+from dgrasp.hand.store import AUTHORS_HAND, FREE_HAND, FREE_URDF, HandSource, authors_source, find_hand, free_source
 from dgrasp.labels.source import FREE, RELEASED, LabelSet, load_labels, select, sha256_of
 from dgrasp.objects.names import YCB_NAMES, nearest
 from dgrasp.objects.store import StoredObject, default_store, find_object, is_added
 
 Kind = Literal["free", "release"]
-_HAND_FILES: dict[Kind, str] = {"release": "mano_mean.urdf", "free": "free_hand.urdf"}
+_HAND_FILES: dict[Kind, str] = {"release": f"{AUTHORS_HAND}.urdf", "free": FREE_URDF.name}
 _HAND_IDS: dict[Kind, str] = {"release": AUTHORS_HAND, "free": FREE_HAND}
 _LAYOUT = "a folder laid out like the authors' release (hand/mano_mean.urdf, objects/NAME/*.obj, labels/*.pkl)"
 
@@ -75,7 +75,7 @@ class DataChoice:
         return {
             "kind": self.kind,
             "hand": self.hand,
-            "labels": self.labels.source.name,
+            "labels": self.labels.path.name,
             "source": self.source,
             "split": self.split,
             "n_labels": len(self.labels.labels),
@@ -92,7 +92,7 @@ class DataChoice:
     def describe(self) -> str:
         """One line: data folder, hand, labels, their number, licence, inertia of the objects, and notes."""
         which = f"{self.source} {self.split}" if self.source != "file" else "a file's"
-        line = (f"data {self.kind} ({self.root}): hand {self.hand}, {which} labels ({self.labels.source.name}), "
+        line = (f"data {self.kind} ({self.root}): hand {self.hand}, {which} labels ({self.labels.path.name}), "
                 f"{len(self.labels.labels)} of {len(self.labels.objects)} objects; licence: {self.licence}")
         added = [f"{len(self.added)} of them added: {', '.join(self.added)}"] if self.added else []
         return "; ".join([line, *added, INERTIA[self.inertia], *self.notes])

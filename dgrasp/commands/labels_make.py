@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from dgrasp import __version__
 from dgrasp.config.experiment import Config, make_config
 from dgrasp.config.sections import INERTIA, which_inertia
 from dgrasp.errors import ConfigError, DataError
@@ -23,9 +22,10 @@ from dgrasp.files import licences
 from dgrasp.objects.names import LARGE_CLAMP, YCB_NAMES, resolve_object
 from dgrasp.objects.store import default_store, find_object, load_object
 from dgrasp.types import GraspLabel
+from dgrasp.version import __version__
 from raisim_like.engines import default_engine
 from raisim_like.errors import EngineError
-from raisim_like.registry import BATCHES, find_engine
+from raisim_like.registry import BATCHES, CONCAVE_MESHES, find_engine
 
 if TYPE_CHECKING:
     from dgrasp.hand.store import NamedHand
@@ -170,7 +170,7 @@ def _object(name: str, data: Path | None, store: Path | None, config: Config) ->
     from dgrasp.objects.free import free_object
     from dgrasp.objects.release import release_object
 
-    physics, parts = config.physics, config.engine == "mujoco"
+    physics, parts = config.physics, config.engine not in CONCAVE_MESHES
     official = physics.official_inertia(False)
     folder = store or default_store()
     if (folder / name).is_dir():

@@ -29,7 +29,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `publish`."""
     parser.add_argument("source", type=Path, metavar="RUN|FILE.pt", help="a run directory, or a checkpoint")
     parser.add_argument("--out", type=Path, required=True, metavar=f"FILE{SUFFIX}", help="the file to write")
-    parser.add_argument("--last", action="store_true", help="of a run the last checkpoint, in place of the best")
+    parser.add_argument("--last", action="store_true", help="take the last checkpoint of the run in place of the best")
 
 
 def main(arguments: argparse.Namespace) -> int:
@@ -57,7 +57,7 @@ def main(arguments: argparse.Namespace) -> int:
 
 
 def _of_run(run_dir: Path, last: bool) -> tuple[Path, Checkpoint]:
-    """The best checkpoint of a run or its last one; says so where they differ. Epoch 0, before training, is neither."""
+    """The best checkpoint of a run or its last one; says so if they differ. Epoch 0 is never taken."""
     from dgrasp.rl.run.checkpoint import load
 
     newest, best = latest(run_dir), run_dir / BEST

@@ -9,13 +9,13 @@ from typing import Any
 
 import numpy as np
 
-from dgrasp import __version__
 from dgrasp.errors import DataError
 from dgrasp.eval import failures, metrics
 from dgrasp.eval.intervals import intervals
 from dgrasp.eval.paper import Column, motion_column, paper_column
 from dgrasp.files.paths import is_checkout, shipped_root
 from dgrasp.types import EpisodeRecord
+from dgrasp.version import __version__
 
 SCHEMA = 1
 MIN_OBJECTS = 3

@@ -11,13 +11,13 @@ from typing import Any
 
 import numpy as np
 
-from dgrasp import evaluation as evaluate
 from dgrasp.config.experiment import Config, find_config, load_config
 from dgrasp.config.values import flat_keys
 from dgrasp.data import DataChoice
 from dgrasp.errors import DataError, DGraspError
 from dgrasp.eval.motion import usual_set
 from dgrasp.eval.summary import Result, Row, is_metric, summarise
+from dgrasp.evaluation import evaluate_choice, evaluate_motion
 from dgrasp.files.atomic import write_atomic
 from dgrasp.files.paths import cfg_root
 from dgrasp.files.typed import typed
@@ -139,7 +139,7 @@ class Tables:
             except ValueError:
                 self.say(f"{file} is damaged; evaluating again")
         self.say(f"evaluating: {command}")
-        evaluation = evaluate.evaluate_motion if motion else evaluate.evaluate_choice
+        evaluation = evaluate_motion if motion else evaluate_choice
         result, _, _ = evaluation(request.method, config, choice)
         try:
             self.results.mkdir(parents=True, exist_ok=True)

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from dgrasp.env.target_env import ENVS
 from dgrasp.errors import DataError
 from dgrasp.hand.inverse import fit_keypoints
 from dgrasp.hand.kinematics import Kinematics
@@ -39,7 +40,7 @@ def test_names_and_indices_come_from_the_file(three: HandModel) -> None:
     assert [finger.joints for finger in layout.fingers] == [(0, 1, 2), (3, 4), (5,)]
     assert [finger.parts for finger in layout.fingers] == [(1, 2, 3), (4, 5), (6,)]
     assert layout.thumb == 2 and layout.tips == (4, 7, 9) and layout.finger_of_part == (-1, 0, 0, 0, 1, 1, 2)
-    assert layout.action_size("grasp") == 12 and layout.action_size("motion") == 6
+    assert {task: kind.actions(layout) for task, kind in ENVS.items()} == {"grasp": 12, "flat": 12, "motion": 6}
     assert three.rest.tolist() == [0.0] * 6 and three.carried_mass == pytest.approx(three.urdf.mass)
     # Without a link that marks it, the tip is the farthest point of the thumb's capsule.
     assert three.tips[2] == pytest.approx([0.0, -0.079, 0.0], abs=1e-3)

@@ -49,7 +49,7 @@ def test_a_script_from_standard_input_is_told_to_be_a_file(tmp_path: Path) -> No
     done = run(["-"], SCRIPT, tmp_path)
     assert done.returncode == 1 and done.stderr.count("Traceback") == 1
     last = done.stderr.strip().splitlines()[-1]
-    assert "<stdin>: worker processes start from the file of the script" in last and "save it as a file" in last
+    assert "<stdin>: worker processes start from the file of the script" in last and "as a file, put what" in last
 
 
 def test_shared_memory_that_cannot_be_had(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -54,7 +54,7 @@ def make_body(client: int, shapes: Sequence[Shape], mass: float, frame: BodyFram
 
 
 def keep_ends_apart(client: int, moving: Iterable[int]) -> None:
-    """Let the ends of round bodies touch none of the bodies and systems that move (`rest`)."""
+    """Switch off contacts between the ends of round bodies and everything that moves (`rest`)."""
     links = {uid: p.getNumJoints(uid, physicsClientId=client) for uid in moving}
     for uid, other in permutations(links, 2):
         # A rigid body with ends has them as its one link.

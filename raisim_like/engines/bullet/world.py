@@ -1,4 +1,4 @@
-"""A PyBullet world that implements the engine protocol: bodies, contacts, pictures."""
+"""A PyBullet world that implements the engine protocol: bodies, control, contacts."""
 
 from __future__ import annotations
 
