@@ -58,7 +58,7 @@ class Grasps:
 
     def pose(self, hand: TorchHand) -> Tensor:
         """(B, J) joint angles, within the limits except for the joints that yield."""
-        return torch.where(self.yields, self.angles, hand.clipped(hand.pose(self.motions)))
+        return hand.tied(torch.where(self.yields, self.angles, hand.clipped(hand.pose(self.motions))))
 
     def take(self, rows: Tensor) -> Grasps:
         """The grasps of these rows."""
@@ -76,7 +76,7 @@ def energies(
     shares (B, P): logits of the contacts' forces. center (3,): the centre of mass in O, m.
     """
     pose = hand.pose(grasps.motions)
-    posed = hand.forward(grasps.R, grasps.t, torch.where(grasps.yields, grasps.angles, pose))
+    posed = hand.forward(grasps.R, grasps.t, hand.tied(torch.where(grasps.yields, grasps.angles, pose)))
     depth = hand.radii - field.distance(posed.centers)
     point, distance, normal = contact_points(hand, field, hand.pad_points(posed))
     wanted = grasps.wanted.float()
@@ -206,7 +206,8 @@ def let_yield(hand: TorchHand, field: ObjectField, grasps: Grasps, rng: np.rando
     closes such a joint and so grasps; a controller whose targets are the current angles presses on nothing.
     """
     pose = grasps.pose(hand).requires_grad_()
-    posed = hand.forward(grasps.R, grasps.t, pose)
+    # A joint that follows another has no lever of its own.
+    posed = hand.forward(grasps.R, grasps.t, hand.tied(pose))
     _, distance, _ = contact_points(hand, field, hand.pad_points(posed))
     lever = torch.autograd.grad((distance * grasps.wanted).sum(), pose)[0]
     with torch.no_grad():

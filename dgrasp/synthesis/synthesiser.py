@@ -214,6 +214,7 @@ class Synthesiser:
         # The limits are float64: rounding must not move angles out of them.
         pose = g.pose(self.torch_hand).numpy().astype(float)
         pose = np.where(g.yields.numpy(), pose, np.clip(pose, *self.hand.limits[N_WRIST:].T))
+        pose = self.hand.ties.coordinates(pose)
         T_WH = found.T_WO @ transform(orthonormal(g.R.numpy().astype(float)), g.t.numpy().astype(float))
         joints = self.hand.keypoints_at(T_WH, pose)
         return [

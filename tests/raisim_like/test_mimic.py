@@ -12,7 +12,7 @@ import pytest
 from dgrasp.types import Array
 from raisim_like import ArticulatedSystem, Shape, UrdfError, UrdfModel, World, read_urdf
 from raisim_like.mimic import Mimic
-from tests.hand.three_fingers import write_three_fingers
+from tests.hand.three_fingers import write_tied_fingers
 from tests.raisim_like.urdfs import write_chain
 
 DT, G = 0.00222, 9.81
@@ -224,13 +224,7 @@ def test_limits_stop_both_joints(world: World, tmp_path: Path) -> None:
 
 def test_a_shaken_hand_that_holds_a_box_keeps_its_ties(world: World, tmp_path: Path) -> None:
     """Bullet's solver ends before nine contacts and three ties agree; a tie makes up for it in the next step."""
-    path = write_three_fingers(tmp_path / "three.urdf")
-    text = path.read_text("utf-8")
-    for leader, follower in (("long_0", "long_1"), ("long_1", "long_2"), ("short_0", "short_1")):
-        child = f'<child link="{follower}"/>'
-        text = text.replace(child, f'{child}<mimic joint="{leader}_joint" multiplier="0.9" offset="{B}"/>', 1)
-    path.write_text(text, encoding="utf-8")
-    hand = world.add_articulated_system(path, enforce_limits=False)
+    hand = world.add_articulated_system(write_tied_fingers(tmp_path / "three.urdf"), enforce_limits=False)
     kp, target = np.full(hand.dof, KP), np.zeros(hand.dof)
     kp[:3], target[6:] = 500.0, [1.2, 0.0, 0.0, 1.2, 0.0, 1.2]
     hand.set_pd_gains(kp, KD)
