@@ -93,8 +93,8 @@ def _check_wrist(path: Path, urdf: UrdfModel) -> None:
         raise DataError(f"{path}: joint {sliding[0]} is prismatic; finger joints must be revolute")
     tied = [link.joint for i, link in enumerate(urdf.links) if link.mimic and min(i, link.mimic.leader) < N_WRIST]
     if tied:
-        raise DataError(f"{path}: joint {tied[0]} has a <mimic> with a joint of the wrist; only finger joints may follow "
-                        "others, and only finger joints")
+        raise DataError(f"{path}: joint {tied[0]} has a <mimic> with a joint of the wrist; expected finger joints "
+                        "to follow finger joints")
 
 
 def _parts(path: Path, urdf: UrdfModel) -> list[list[int]]:

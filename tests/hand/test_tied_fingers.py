@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -74,7 +73,8 @@ def test_made_grasps_are_tied_and_only_motors_yield(hand: HandModel) -> None:
 
 def test_a_label_whose_pose_is_not_tied_is_reported(hand: HandModel) -> None:
     brick = make_setting(free_object(BRICK, "official", True)).body
-    labels = [make_label(hand, [0.5, 0.55, 0.595, 0.2, 0.28, 0.0]), make_label(hand, [0.5, 0.65, 0.595, 0.2, 0.28, 0.0])]
+    poses = [0.5, 0.55, 0.595, 0.2, 0.28, 0.0], [0.5, 0.65, 0.595, 0.2, 0.28, 0.0]
+    labels = [make_label(hand, pose) for pose in poses]
     good, bad = measure_labels(labels, hand, rigid_surface(hand), {BRICK: brick})
     # long_1 is 0.1 rad from what long_0 says.
     assert (good.beyond_limits, bad.beyond_limits) == (0, 1)
