@@ -36,7 +36,7 @@ class DataChoice:
     labels: the chosen labels.
     licence: the licence of the labels.
     source, split: the names of source and split ("file" for a label file outside the release).
-    comparable_with_paper: whether hand and labels are the paper's.
+    differences: in what hand and labels differ from the paper's.
     notes: remarks on how the data was found.
     added: name -> object, for those of the labels' objects that are not among the 20 but were added by the user.
     """
@@ -50,7 +50,7 @@ class DataChoice:
     licence: str
     source: str
     split: str
-    comparable_with_paper: bool
+    differences: tuple[str, ...]
     notes: tuple[str, ...] = ()
     added: dict[str, StoredObject] = field(default_factory=dict)
 
@@ -63,6 +63,11 @@ class DataChoice:
     def hand(self) -> str:
         """The hand's id."""
         return self.hand_source.id
+
+    @property
+    def comparable_with_paper(self) -> bool:
+        """Whether hand and labels are the paper's."""
+        return not self.differences
 
     def stamp(self) -> dict[str, Any]:
         """Record of the choice for results and run folders: plain JSON values, without paths of this machine."""
@@ -115,11 +120,15 @@ def resolve(config: Config) -> DataChoice:
     own = [name for name in config.labels.objects if is_added(name, folders)]
     chosen = select(labels, config.labels.objects, config.labels.limit_per_object, own)
     added = {name: find_object(name, folders) for name in chosen.objects if name not in YCB_NAMES.values()}
-    comparable = kind == "release" and labels.comparable_with_paper and hand_urdf == root / "hand" / _HAND_FILES[kind]
+    differences = []
+    if kind != "release" or hand_urdf != root / "hand" / _HAND_FILES[kind]:
+        differences.append(f"the hand is {hand}, not the paper's")
+    if not labels.comparable_with_paper:
+        differences.append(f"the labels ({path.name}) are not the paper's")
     return DataChoice(
         root=root, kind=kind, hand_source=source_of_hand, hand_sha256=sha256_of(hand_urdf),
         objects_dir=root / "objects", labels=chosen, added=added,
-        licence=labels.licence, source=source, split=split, comparable_with_paper=comparable, notes=tuple(notes),
+        licence=labels.licence, source=source, split=split, differences=tuple(differences), notes=tuple(notes),
     )
 
 

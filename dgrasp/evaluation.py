@@ -9,6 +9,7 @@ from collections.abc import Mapping
 from dgrasp.build import build_spec
 from dgrasp.config.experiment import Config
 from dgrasp.data import DataChoice
+from dgrasp.eval.comparison import data_stamp
 from dgrasp.eval.evaluator import evaluate_labels
 from dgrasp.eval.meshes import build_bodies, build_interpenetration
 from dgrasp.eval.motion import check_moves, choose_targets, motion_result, run_motions
@@ -35,8 +36,9 @@ def evaluate_choice(
     window = config.eval.window_s
     rows = [label_row(r, window) if measure is None else label_row(r, window) | measure.measure(r) for r in records]
     result = summarise(
-        rows, method=method.name, engine=config.engine, window_s=window, seed=config.seed, data=choice.stamp(),
-        cost=cost, interpenetration=None if measure is None else measure.report(),
+        rows, method=method.name, engine=config.engine, window_s=window, seed=config.seed,
+        data=data_stamp(method, config, choice), cost=cost,
+        interpenetration=None if measure is None else measure.report(),
     )  # fmt: skip
     return result, records, spec
 
