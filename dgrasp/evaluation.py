@@ -30,6 +30,7 @@ def evaluate_choice(
     bodies = build_bodies(choice, spec.objects)
     measure = build_interpenetration(choice, config, spec.hand, bodies) if config.eval.interpenetration else None
     spec = method.prepare(spec, lambda: _surfaces(bodies))
+    one_thread()
     records, cost, events = evaluate_labels(spec, method, _Progress())
     for event in events:
         print(f"warning: {event}", file=sys.stderr)
@@ -51,10 +52,18 @@ def evaluate_motion(
     targets = choose_targets(config, choice)
     chosen = build_spec(choice, config)
     spec = method.prepare(chosen, lambda: _surfaces(build_bodies(choice, chosen.objects)))
+    one_thread()
     motions = run_motions(spec, method, targets, _Progress())
     for event in motions.events:
         print(f"warning: {event}", file=sys.stderr)
     return motion_result(motions, method, config, choice, targets, spec.labels), motions.records, spec
+
+
+def one_thread() -> None:
+    """Give torch one thread; the workers use the other cores. Comes late, because torch takes seconds to import."""
+    import torch
+
+    torch.set_num_threads(1)
 
 
 def _surfaces(bodies: Mapping[str, ObjectBody]) -> dict[str, Body]:

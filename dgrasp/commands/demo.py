@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 from rich.console import Console
 from rich.table import Table
 
-from dgrasp.commands.test import one_thread, write_gif
+from dgrasp.commands.test import write_gif
 from dgrasp.config.experiment import Config, load_config, make_config
 from dgrasp.errors import ConfigError
 from dgrasp.files.paths import data_root, package_file
@@ -60,6 +60,7 @@ def main(arguments: argparse.Namespace) -> int:
 
     from dgrasp.data import resolve
     from dgrasp.eval import output
+    from dgrasp.evaluation import one_thread
     from dgrasp.rl.run.policies import read_policy
     from dgrasp.rl.run.record import read_run
     from dgrasp.training import next_run, start_run, train

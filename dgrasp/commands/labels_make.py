@@ -29,6 +29,7 @@ from raisim_like.registry import BATCHES, find_engine
 if TYPE_CHECKING:
     from dgrasp.hand.store import NamedHand
     from dgrasp.objects.model import ObjectModel
+    from dgrasp.objects.store import StoredObject
 
 HELP = """\
 Make static grasp labels for a hand and objects by gradient descent (contact, force closure, penetration, joint limits,
@@ -119,17 +120,17 @@ def _tasks(arguments: argparse.Namespace) -> tuple[list[_Task], NamedHand]:
     if arguments.seed < 0 or (arguments.workers is not None and arguments.workers < 1):
         raise ConfigError(f"--seed {arguments.seed} --workers {arguments.workers}: expected a seed of at least 0, and "
                           "at least one process")
+    wanted = list(YCB_NAMES.values()) if arguments.objects == ["all"] else list(dict.fromkeys(arguments.objects))
+    found = [_find(name, arguments.store) for name in wanted]
     config = make_config({"engine": arguments.engine}, "labels make")
-    _require_engine(arguments.engine)
 
     from dgrasp.hand.store import open_hand
 
     data = None if arguments.data == "free" else Path(os.path.expanduser(arguments.data))
     name = arguments.hand or ("free" if data is None else str(data / "hand" / "mano_mean.urdf"))
     hand = open_hand(name)
-    wanted = list(YCB_NAMES.values()) if arguments.objects == ["all"] else list(dict.fromkeys(arguments.objects))
-    models = list({model.name: model for model in (_object(entry, data, arguments.store, config) for entry in wanted)
-                   }.values())  # fmt: skip
+    _require_engine(arguments.engine)
+    models = list({model.name: model for model in (_object(entry, data, config) for entry in found)}.values())
     same = [hand.model.id, __version__, arguments.number, arguments.seed, arguments.engine]
     return [
         _Task(name, model, arguments.number, arguments.seed, config, _part_name(model, same)) for model in models
@@ -163,25 +164,31 @@ def _require_engine(name: str) -> None:
         raise ConfigError(f"--engine: {error}") from None
 
 
-def _object(name: str, data: Path | None, store: Path | None, config: Config) -> ObjectModel:
-    """The added object of that name if there is one, else one of the 20."""
+def _find(name: str, store: Path | None) -> StoredObject | str:
+    """The added object of that name if there is one, else the full name of one of the 20."""
+    folder = store or default_store()
+    if (folder / name).is_dir():
+        return find_object(name, [folder])
+    try:
+        return resolve_object(name)
+    except DataError:
+        if name == LARGE_CLAMP:
+            raise
+        return find_object(name, [folder])
+
+
+def _object(found: StoredObject | str, data: Path | None, config: Config) -> ObjectModel:
+    """The model of an added object, or of one of the 20."""
     from dgrasp.objects.free import free_object
     from dgrasp.objects.release import release_object
 
     physics, parts = config.physics, config.engine == "mujoco"
-    folder = store or default_store()
-    if (folder / name).is_dir():
-        return load_object(find_object(name, [folder]).folder, physics.official_compat, parts)
-    try:
-        full = resolve_object(name)
-    except DataError:
-        if name == LARGE_CLAMP:
-            raise
-        return load_object(find_object(name, [folder]).folder, physics.official_compat, parts)
+    if not isinstance(found, str):
+        return load_object(found.folder, physics.official_compat, parts)
     if data is None:
-        return free_object(full, physics.masses, physics.official_compat)
+        return free_object(found, physics.masses, physics.official_compat)
     concave = "parts" if parts else physics.concave
-    return release_object(data / "objects", full, physics.masses, physics.official_compat, concave)
+    return release_object(data / "objects", found, physics.masses, physics.official_compat, concave)
 
 
 def _files(arguments: argparse.Namespace, objects: int) -> list[Path]:
