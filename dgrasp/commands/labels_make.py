@@ -78,8 +78,8 @@ class _Task:
 
 def main(arguments: argparse.Namespace) -> int:
     """Make and write the labels; returns the exit code."""
-    from dgrasp.labels.recorded.common import progress
     from dgrasp.pool import cores
+    from dgrasp.synthesis.progress import MakingProgress
 
     tasks, hand = _tasks(arguments)
     files = _files(arguments, len(tasks))
@@ -88,19 +88,25 @@ def main(arguments: argparse.Namespace) -> int:
     workers = min(arguments.workers or cores(), len(tasks))
     parts = arguments.out.with_suffix(".parts")
     todo = [task for task in tasks if not (parts / task.file).is_file()]
-    missing = {task.file for task in todo}
     if len(todo) < len(tasks):
         print(f"{parts}: {len(tasks) - len(todo)} objects are there from an interrupted run", flush=True)
-    with ProcessPoolExecutor(workers, multiprocessing.get_context("spawn"), _one_thread) as pool:
-        results = iter(pool.map(_make, todo))
-        for task in progress(tasks, "making labels"):
-            labels, row = _kept(parts / task.file, hand, next(results) if task.file in missing else None)
-            made.append(labels)
-            figures[task.model.name] = row
-            print(f"{task.model.name}: {len(labels)} labels, {row['held']} hold under gt_pd ({row['found_held']:.2f} "
-                  f"before the selection, {row['best_quarter_held']:.2f} of the best quarter); penetration "
-                  f"{row['penetration_cm3']:.2f} cm3, {row['touching']:.1f} parts touch, {row['contacts']:.1f} goal "
-                  f"contacts, joints {row['diversity_deg']:.0f} deg apart; {row['cpu_s']:.0f} s of CPU", flush=True)
+    context = multiprocessing.get_context("spawn")
+    # Each process writes the shares of its own objects, so there is no need for a lock.
+    shares = context.RawArray("d", len(todo))
+    shown = MakingProgress([task.model.name for task in todo], shares)
+    with ProcessPoolExecutor(workers, context, _begin, (shares,)) as pool:
+        try:
+            running = {task.file: pool.submit(_make, task, i) for i, task in enumerate(todo)}
+            for task in tasks:
+                result = shown.result(running[task.file]) if task.file in running else None
+                labels, row = _kept(parts / task.file, hand, result)
+                made.append(labels)
+                figures[task.model.name] = row
+                print(_line(task.model.name, len(labels), row), flush=True)
+        finally:
+            shown.close()
+            # After an error, objects that no process has begun are dropped.
+            pool.shutdown(wait=False, cancel_futures=True)
     held = sum(row["held"] for row in figures.values()) / sum(map(len, made))
     best = float(np.mean([row["best_quarter_held"] for row in figures.values()]))
     print(f"{sum(map(len, made))} labels in {time.monotonic() - begin:.0f} s; gt_pd holds {held:.2f} of them, "
@@ -108,6 +114,14 @@ def main(arguments: argparse.Namespace) -> int:
     _write(files, made, arguments, hand, figures)
     shutil.rmtree(parts)
     return 0
+
+
+def _line(name: str, count: int, row: dict[str, Any]) -> str:
+    """One line about an object's labels."""
+    return (f"{name}: {count} labels, {row['held']} hold under gt_pd ({row['found_held']:.2f} before the selection, "
+            f"{row['best_quarter_held']:.2f} of the best quarter); penetration {row['penetration_cm3']:.2f} cm3, "
+            f"{row['touching']:.1f} parts touch, {row['contacts']:.1f} goal contacts, joints "
+            f"{row['diversity_deg']:.0f} deg apart; {row['cpu_s']:.0f} s of CPU")
 
 
 def _tasks(arguments: argparse.Namespace) -> tuple[list[_Task], NamedHand]:
@@ -202,14 +216,21 @@ def _files(arguments: argparse.Namespace, objects: int) -> list[Path]:
     return [out.with_name(f"{out.stem}_{split}.npz") for split in ("train", "test")]
 
 
-def _one_thread() -> None:
+_shares: Any = None
+"""In a process of the pool: the share of each object that is done."""
+
+
+def _begin(shares: Any) -> None:
+    """Prepare a process of the pool."""
     import torch
 
+    global _shares
+    _shares = shares
     torch.set_num_threads(1)
 
 
-def _make(task: _Task) -> tuple[list[GraspLabel], dict[str, Any]]:
-    """Synthesise the labels of one object; returns them and their figures."""
+def _make(task: _Task, index: int) -> tuple[list[GraspLabel], dict[str, Any]]:
+    """Synthesise the labels of one object; returns them and their figures. index: of its share."""
     from dgrasp.hand.store import open_hand
     from dgrasp.synthesis.report import figures
     from dgrasp.synthesis.synthesiser import Synthesiser
@@ -218,8 +239,13 @@ def _make(task: _Task) -> tuple[list[GraspLabel], dict[str, Any]]:
     named = open_hand(task.hand)
     digest = int.from_bytes(hashlib.sha256(task.model.name.encode()).digest()[:4], "big")
     rng = np.random.default_rng([task.seed, digest])
-    made = Synthesiser(named.model).make(task.model, task.count, rng, task.config)
+
+    def report(share: float) -> None:
+        _shares[index] = share
+
+    made = Synthesiser(named.model).make(task.model, task.count, rng, task.config, report=report)
     row = figures(made, named, task.model)
+    report(1.0)
     return made.labels, {**row, "cpu_s": round(time.process_time() - begin, 1)}
 
 

@@ -7,6 +7,7 @@ closure is the residual wrench of forces along the contacts' normals, whose shar
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -151,11 +152,12 @@ def overlaps(hand: TorchHand, centers: Tensor) -> Tensor:
 
 
 def optimise(
-    hand: TorchHand, field: ObjectField, grasps: Grasps, center: Array, iterations: int = ITERATIONS
+    hand: TorchHand, field: ObjectField, grasps: Grasps, center: Array, iterations: int = ITERATIONS,
+    stepped: Callable[[], None] = lambda: None,
 ) -> tuple[Grasps, dict[str, Tensor]]:
     """Minimise all terms together by gradient descent, with joint angles clipped to the limits.
 
-    Returns the grasps found and their terms.
+    Returns the grasps found and their terms. stepped: called after each iteration.
     """
     middle = tensor(center)
     w = torch.zeros_like(grasps.t, requires_grad=True)
@@ -182,6 +184,7 @@ def optimise(
                 leaf.grad.mul_(((_STEEPEST_M if leaf is t else _STEEPEST) / norm).clamp_max(1.0))
         adam.step()
         slower.step()
+        stepped()
     with torch.no_grad():
         found = current()
         found = replace(found, t=t.detach(), motions=motions.detach())
