@@ -7,11 +7,13 @@ laid out like the authors' release; a folder with this layout under data/; the f
 from __future__ import annotations
 
 import os
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
 from dgrasp.config.experiment import Config
+from dgrasp.config.sections import INERTIA, Inertia, which_inertia
 from dgrasp.errors import DataError
 from dgrasp.files.paths import data_root, user_data_root
 from dgrasp.hand.store import AUTHORS_HAND, FREE_HAND, HandSource, authors_source, find_hand, free_source
@@ -36,7 +38,9 @@ class DataChoice:
     labels: the chosen labels.
     licence: the licence of the labels.
     source, split: the names of source and split ("file" for a label file outside the release).
-    differences: in what hand and labels differ from the paper's.
+    inertia: of the objects (`physics.official_compat`): "true"; "official", the authors' 1 kg m^2; or "mixed", true for
+    added objects alone.
+    differences: in what hand, labels and inertia differ from the paper's.
     notes: remarks on how the data was found.
     added: name -> object, for those of the labels' objects that are not among the 20 but were added by the user.
     """
@@ -50,6 +54,7 @@ class DataChoice:
     licence: str
     source: str
     split: str
+    inertia: Inertia
     differences: tuple[str, ...]
     notes: tuple[str, ...] = ()
     added: dict[str, StoredObject] = field(default_factory=dict)
@@ -66,7 +71,7 @@ class DataChoice:
 
     @property
     def comparable_with_paper(self) -> bool:
-        """Whether hand and labels are the paper's."""
+        """Whether hand, labels and inertia are the paper's."""
         return not self.differences
 
     def stamp(self) -> dict[str, Any]:
@@ -84,17 +89,18 @@ class DataChoice:
             "hand_file": self.hand_urdf.name,
             "hand_sha256": self.hand_sha256,
             "labels_sha256": self.labels.sha256,
+            "inertia": self.inertia,
             "comparable_with_paper": self.comparable_with_paper,
             **added,
         }
 
     def describe(self) -> str:
-        """One line: data folder, hand, labels, their number, licence and notes."""
+        """One line: data folder, hand, labels, their number, licence, inertia of the objects, and notes."""
         which = f"{self.source} {self.split}" if self.source != "file" else "a file's"
         line = (f"data {self.kind} ({self.root}): hand {self.hand}, {which} labels ({self.labels.source.name}), "
                 f"{len(self.labels.labels)} of {len(self.labels.objects)} objects; licence: {self.licence}")
         added = [f"{len(self.added)} of them added: {', '.join(self.added)}"] if self.added else []
-        return "; ".join([line, *added, *self.notes])
+        return "; ".join([line, *added, INERTIA[self.inertia], *self.notes])
 
 
 def resolve(config: Config) -> DataChoice:
@@ -125,11 +131,20 @@ def resolve(config: Config) -> DataChoice:
         differences.append(f"the hand is {hand}, not the paper's")
     if not labels.comparable_with_paper:
         differences.append(f"the labels ({path.name}) are not the paper's")
+    inertia = _inertia(config, kind, chosen.objects, added)
+    if inertia != "official":
+        which = "added" if inertia == "mixed" else "the"
+        differences.append(f"{which} objects have true inertia, not the authors' 1 kg m2")
     return DataChoice(
         root=root, kind=kind, hand_source=source_of_hand, hand_sha256=sha256_of(hand_urdf),
         objects_dir=root / "objects", labels=chosen, added=added,
-        licence=labels.licence, source=source, split=split, differences=tuple(differences), notes=tuple(notes),
+        licence=labels.licence, source=source, split=split, inertia=inertia, differences=tuple(differences),
+        notes=tuple(notes),
     )
+
+
+def _inertia(config: Config, kind: Kind, objects: Sequence[str], added: Mapping[str, StoredObject]) -> Inertia:
+    return which_inertia(config.physics.official_inertia(kind == "release" and name not in added) for name in objects)
 
 
 def _object_folders(config: Config, root: Path) -> list[Path]:

@@ -135,7 +135,9 @@ def _carry(saved: SavedPolicy, run_dir: Path, words: list[str]) -> None:
 
 
 def _config_of(saved: SavedPolicy | None, words: list[str]) -> Config:
-    return make_config(saved.config if saved is not None else {}, str(PRETRAINED_FILE), words)
+    from dgrasp.request import shipped_values
+
+    return make_config({} if saved is None else shipped_values(saved), str(PRETRAINED_FILE), words)
 
 
 def _print(results: dict[str, Result]) -> None:

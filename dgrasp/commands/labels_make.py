@@ -17,6 +17,7 @@ import numpy as np
 
 from dgrasp import __version__
 from dgrasp.config.experiment import Config, make_config
+from dgrasp.config.sections import INERTIA, which_inertia
 from dgrasp.errors import ConfigError, DataError
 from dgrasp.files import licences
 from dgrasp.objects.names import LARGE_CLAMP, YCB_NAMES, resolve_object
@@ -109,9 +110,10 @@ def main(arguments: argparse.Namespace) -> int:
             pool.shutdown(wait=False, cancel_futures=True)
     held = sum(row["held"] for row in figures.values()) / sum(map(len, made))
     best = float(np.mean([row["best_quarter_held"] for row in figures.values()]))
+    inertia = which_inertia(np.array_equal(task.model.inertia, np.eye(3)) for task in tasks)
     print(f"{sum(map(len, made))} labels in {time.monotonic() - begin:.0f} s; gt_pd holds {held:.2f} of them, "
-          f"{best:.2f} of each object's best quarter by geometry")
-    _write(files, made, arguments, hand, figures)
+          f"{best:.2f} of each object's best quarter by geometry; {INERTIA[inertia]}")
+    _write(files, made, arguments, hand, figures, inertia)
     shutil.rmtree(parts)
     return 0
 
@@ -197,12 +199,13 @@ def _object(found: StoredObject | str, data: Path | None, config: Config) -> Obj
     from dgrasp.objects.release import release_object
 
     physics, parts = config.physics, config.engine == "mujoco"
+    official = physics.official_inertia(False)
     if not isinstance(found, str):
-        return load_object(found.folder, physics.official_compat, parts)
+        return load_object(found.folder, official, parts)
     if data is None:
-        return free_object(found, physics.masses, physics.official_compat)
+        return free_object(found, physics.masses, official)
     concave = "parts" if parts else physics.concave
-    return release_object(data / "objects", found, physics.masses, physics.official_compat, concave)
+    return release_object(data / "objects", found, physics.masses, physics.official_inertia(True), concave)
 
 
 def _files(arguments: argparse.Namespace, objects: int) -> list[Path]:
@@ -250,7 +253,7 @@ def _make(task: _Task, index: int) -> tuple[list[GraspLabel], dict[str, Any]]:
 
 
 def _write(files: list[Path], made: list[list[GraspLabel]], arguments: argparse.Namespace, hand: NamedHand,
-           figures: dict[str, dict[str, Any]]) -> None:
+           figures: dict[str, dict[str, Any]], inertia: str) -> None:
     from dgrasp.labels.formats.native import write_native
     from dgrasp.labels.recorded.making import numbered, split
 
@@ -262,7 +265,7 @@ def _write(files: list[Path], made: list[list[GraspLabel]], arguments: argparse.
     licence = licences.PROJECT if free else licences.OF_ITS_ORIGINS
     figures = {name: {key: value for key, value in row.items() if key != "cpu_s"} for name, row in figures.items()}
     provenance = {"made_by": "dgrasp labels make", "seed": arguments.seed, "engine": arguments.engine,
-                  "per_object": figures}
+                  "inertia": inertia, "per_object": figures}
     for path, part in zip(files, parts, strict=True):
         write_native(path, part, provenance, licence, hand.model.layout.names)
         print(f"wrote {path}: {len(part)} labels, {path.stat().st_size} bytes; licence: {licence}")

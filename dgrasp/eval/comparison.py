@@ -14,9 +14,9 @@ WINDOWS = (5.0, 3.87)
 TARGETS = "easy"
 """The paper's targets of motions."""
 _KEYS = ("physics.", "env.grasp_steps", "env.action.k")
-_FREE = ("physics.concave", "physics.preset")
+_FREE = ("physics.concave", "physics.preset", "physics.official_compat")
 """Prefixes of the keys that must be the paper's, whose values are the defaults, and those among them that need not be:
-they set how an engine simulates the paper's world."""
+they set how an engine simulates the paper's world, or are among the choice's differences."""
 
 
 def differences(method: Method, config: Config, choice: DataChoice) -> list[str]:

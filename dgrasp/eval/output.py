@@ -102,7 +102,7 @@ def remarks(result: Result) -> list[str]:
     if result.motion is not None and result.motion.get("left_out"):
         lines.append(f"{len(result.motion['left_out'])} of {result.motion['n_grasps']} grasps did not pass the "
                      f"stability test of {result.window_s:g} s and were left out, as in the paper")
-    used = [f"{key} {result.data[key]}" for key in ("hand", "labels", "licence") if key in result.data]
+    used = [f"{key} {result.data[key]}" for key in ("hand", "labels", "inertia", "licence") if key in result.data]
     return [*lines, "; ".join([*used, f"seed {result.seed}", f"code {result.commit}"])]
 
 

@@ -40,7 +40,7 @@ class PolicyMethod(Method):
         return False
 
     def differences(self, data: Mapping[str, Any]) -> list[str]:
-        """The policy's own hand if it is another one; its labels if they, and they alone, are not the paper's."""
+        """The policy's own hand if it is another one; its training data if that alone is not the paper's."""
         on = self.trained_on
         if on is None:
             return []
@@ -48,7 +48,8 @@ class PolicyMethod(Method):
             return [f"the policy was trained for the hand {_shown(on.get('hand'))}, not {_shown(data['hand'])}"]
         trained_like_the_paper = on.get("comparable_with_paper") and on.get("split", "train") == "train"
         if data["comparable_with_paper"] and not trained_like_the_paper:
-            return [f"the policy was trained on labels ({_shown(on.get('labels'))}) that the paper did not train on"]
+            used = ", ".join(f"{key} {_shown(on[key])}" for key in ("labels", "inertia") if key in on)
+            return [f"the policy was trained on other data than the paper's ({used})"]
         return []
 
     def act(self, observation: Array) -> Array:

@@ -101,7 +101,7 @@ class Trainings:
         # The paper's training is the default of every key, except for baselines, which have their own config files.
         asked = load_config(None if run.cfg is None else cfg_root() / Path(run.cfg).name, list(run.overrides))
         told = load_config(find_config(Path(run.cfg or self.cfg)), [*self.overrides, *run.overrides])
-        there, here, now = (flat_keys(config.model_dump(mode="json")) for config in (asked, made.config, told))
+        there, here, now = (_with_inertia(config, made.data) for config in (asked, made.config, told))
         counted = [key for key in here if key.startswith(_OF_TRAINING) and not key.startswith("ppo.max_")]
         changed = [f"{key}={here[key]}" for key in counted if here[key] != there[key]]
         stale = [f"{key}={here[key]}" for key in counted
@@ -226,6 +226,12 @@ def needed(chosen: Sequence[Plan]) -> list[Trained]:
                         found.setdefault(trial.run.policy)
                     found.setdefault(trial.run)
     return list(found)
+
+
+def _with_inertia(config: Config, data: dict[str, Any]) -> dict[str, Any]:
+    """The flat keys of a config, with `official_compat` as it applies to the data in place of null."""
+    official = config.physics.official_inertia(data.get("kind") == "release")
+    return flat_keys(config.model_dump(mode="json")) | {"physics.official_compat": official}
 
 
 def _motion_policy(file: Path) -> str:

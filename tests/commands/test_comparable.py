@@ -62,17 +62,19 @@ def test_the_shipped_policy_on_another_hand_says_so(
     assert found == ["the policy was trained for the hand free, not mano_mean"]
 
 
-def test_other_windows_and_masses(release: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    words = ["--baseline", "gt_pd", "--data", str(release), "--window", "0.1", "physics.masses=ycb"]
+def test_another_window_inertia_and_masses(release: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["--baseline", "gt_pd", "--data", str(release), "--window", "0.1", "physics.masses=ycb",
+             "physics.official_compat=false"]  # fmt: skip
     found, _ = evaluated(words, tmp_path, capsys)
-    assert found == ["the window is 0.1 s, not 5 or 3.87 s", "physics.masses is ycb, not official"]
+    assert found == ["the objects have true inertia, not the authors' 1 kg m2", "the window is 0.1 s, not 5 or 3.87 s",
+                     "physics.masses is ycb, not official"]  # fmt: skip
 
 
 def test_own_data(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     folder = make_folder(tmp_path / "set")
     found, _ = evaluated(["--baseline", "gt_pd", "--data", str(folder), "eval.window_s=0.1"], tmp_path, capsys)
     assert found == ["the hand is free, not the paper's", "the labels (free_train.npz) are not the paper's",
-                     "the window is 0.1 s, not 5 or 3.87 s"]  # fmt: skip
+                     "the objects have true inertia, not the authors' 1 kg m2", "the window is 0.1 s, not 5 or 3.87 s"]
 
 
 def test_the_shipped_policy_on_the_authors_hand(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

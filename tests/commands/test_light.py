@@ -64,6 +64,7 @@ def test_the_usage_loads_neither_numpy_nor_pydantic(tmp_path: Path) -> None:
         (["test", "--table", "grasp", "ppo.epoch=3"], "did you mean 'ppo.epochs'?"),
         (["test", "--table", "grasp", "--report", "x.html"], "leave out --report"),
         (["test", "--baseline", "gt_pd", "--labels", "none.npz"], "none.npz"),
+        (["test", "--baseline", "gt_pd", "--shapes"], "--shapes: only valid with --gif or --report"),
         (["demo", "ppo.epoch=3"], "did you mean 'ppo.epochs'?"),
         (["runs", "none"], "none: no such folder"),
         (["publish", "none", "--out", "x.safetensors"], "none: no such file"),

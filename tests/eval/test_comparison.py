@@ -22,9 +22,10 @@ CHOICE = DataChoice(
     root=Path("r"), kind="release", hand_source=HandSource(Path("mano_mean.urdf"), "mano_mean"),
     hand_sha256="0", objects_dir=Path("o"),
     labels=LabelSet([], "mano_mean", LAYOUT.names, "MIT", PATH, "0", ("dexycb", "train"), True), licence="MIT",
-    source="dexycb", split="train", differences=(),
+    source="dexycb", split="train", inertia="official", differences=(),
 )  # fmt: skip
-TRAINED = {"hand": "mano_mean", "labels": "dexycb_train_labels.pkl", "split": "train", "comparable_with_paper": True}
+TRAINED = {"hand": "mano_mean", "labels": "dexycb_train_labels.pkl", "split": "train", "inertia": "official",
+           "comparable_with_paper": True}  # fmt: skip
 
 
 def said(values: dict[str, Any] | None = None, trained: dict[str, Any] | None = None, choice: DataChoice = CHOICE
@@ -47,7 +48,6 @@ def test_the_papers_own_tests_are_comparable() -> None:
     [
         ({"eval": {"window_s": 0.03}}, "the window is 0.03 s, not 5 or 3.87 s"),
         ({"physics": {"masses": "ycb"}}, "physics.masses is ycb, not official"),
-        ({"physics": {"official_compat": False}}, "physics.official_compat is False, not True"),
         ({"physics": {"friction": 1.0}}, "physics.friction is 1.0, not 0.8"),
         ({"env": {"grasp_steps": 30}}, "env.grasp_steps is 30, not 60"),
         ({"env": {"action": {"kp_rotation": 500.0}}}, "env.action.kp_rotation is 500.0, not 50.0"),
@@ -69,9 +69,11 @@ def test_keys_that_are_not_the_papers(values: dict[str, Any], expected: str) -> 
         ({"hand": "\x1b[31m" + "x" * 200},
          r"the policy was trained for the hand \x1b[31m" + "x" * 52 + ", not mano_mean"),
         ({"comparable_with_paper": False, "labels": "mine.npz"},
-         "the policy was trained on labels (mine.npz) that the paper did not train on"),
+         "the policy was trained on other data than the paper's (labels mine.npz, inertia official)"),
         ({"split": "test", "labels": "dexycb_test_labels.pkl"},
-         "the policy was trained on labels (dexycb_test_labels.pkl) that the paper did not train on"),
+         "the policy was trained on other data than the paper's (labels dexycb_test_labels.pkl, inertia official)"),
+        ({"comparable_with_paper": False, "inertia": "true"},
+         "the policy was trained on other data than the paper's (labels dexycb_train_labels.pkl, inertia true)"),
     ],
 )  # fmt: skip
 def test_policies_of_other_hands_and_labels(trained: dict[str, Any], expected: str) -> None:

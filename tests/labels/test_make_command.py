@@ -61,7 +61,9 @@ def test_the_command_writes_both_splits(
     assert (len(train), len(test), meta["licence"], meta["hand"]) == (2, 1, "MIT", "free")
     assert meta["provenance"]["per_object"][BRICK]["held"] == 1 and "cpu_s" not in str(meta)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["set_test.npz", "set_train.npz"]
-    assert "best quarter" in capsys.readouterr().out
+    assert meta["provenance"]["inertia"] == "true"
+    shown = capsys.readouterr().out
+    assert "best quarter" in shown and "; true inertia" in shown
 
 
 def test_a_stopped_run_goes_on(

@@ -167,6 +167,7 @@ def test_seeds_are_trained_apart_and_averaged(
 @pytest.mark.parametrize("words", [
     ["--baseline", "gt_pd"], ["--split", "test"], ["--labels", "dexycb"], ["--objects", "004_sugar_box"],
     ["--json", "x.json"], ["--report", "x.html"], ["--records", "x"], ["--gif", "x.gif"], ["--motion", "near"],
+    ["--shapes"],
 ])  # fmt: skip
 def test_a_table_refuses_what_it_has_no_use_for(
     words: list[str], folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
@@ -297,3 +298,9 @@ def test_a_training_as_its_row_asks_for_differs_in_nothing(tmp_path: Path, monke
         (note,) = trainings.about(chosen[key])
         keys = "labels.objects=['005_tomato_soup_can'], env.grasp_steps=2"
         assert note.endswith(f"; differs from {said}{keys}; differs from this command: it was trained with {keys}")
+    # A run on the authors' release that names their inertia has what null means there; on the free set it has not.
+    run = chosen["all_objects"]
+    config = load_config(find_config(Path(run.cfg or "cfg/dexycb.yaml")), ["physics.official_compat=true"])
+    for kind, differs in (("release", False), ("free", True)):
+        write_description(trainings.run_dir(run), config, {"kind": kind})
+        assert ("official_compat=True" in trainings.about(run)[0]) == differs

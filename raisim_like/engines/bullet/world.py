@@ -16,7 +16,15 @@ from raisim_like.engines.bullet.contacts import contacts_of, link_impulses, touc
 from raisim_like.engines.bullet.friction import factors
 from raisim_like.engines.bullet.pd import HOLD, ImplicitPd, blocks
 from raisim_like.engines.bullet.quiet_pybullet import pybullet as p
-from raisim_like.engines.bullet.rest import BREAKING_THRESHOLD, LEAST_FRICTION, ROLLING_FRICTION, may_roll
+from raisim_like.engines.bullet.rest import (
+    BREAKING_THRESHOLD,
+    DAMPING,
+    LEAST_FRICTION,
+    ROLLING_FRICTION,
+    ROLLING_FRICTION_OF_FACES,
+    STIFFNESS,
+    may_roll,
+)
 from raisim_like.engines.bullet.shapes import xyzw
 from raisim_like.engines.bullet.state import BulletSnapshot
 from raisim_like.engines.pending import Pending
@@ -42,8 +50,10 @@ CONTACT_BREAKING_THRESHOLD = 0.001
 class _Body:
     """A rigid body, which Bullet simulates in its inertial frame."""
 
-    def __init__(self, material: str, frame: BodyFrame, mass: float, rolls: bool) -> None:
-        self.material, self.frame, self.mass, self.rolls = material, frame, mass, rolls
+    def __init__(self, material: str, frame: BodyFrame, mass: float, shapes: Sequence[Shape]) -> None:
+        self.material, self.frame, self.mass = material, frame, mass
+        self.rolls = may_roll(shapes, mass, frame)
+        self.rolls_on_faces = self.rolls and any(shape.kind == "hull" for shape in shapes)
 
 
 class BulletWorld:
@@ -61,6 +71,7 @@ class BulletWorld:
         self.systems: dict[int, ImplicitPd] = {}
         self._system_material: dict[int, str] = {}
         self._friction: dict[str, float] = {}
+        self._springs = False
         self._set_solver()
         p.setPhysicsEngineParameter(
             enableConeFriction=1,
@@ -130,7 +141,7 @@ class BulletWorld:
     ) -> int:
         frame = BodyFrame(com, inertia)
         uid = make_body(self.client, shapes, mass, frame, collision_mask)
-        self.bodies[uid] = _Body(material, frame, mass, may_roll(shapes, mass, frame))
+        self.bodies[uid] = _Body(material, frame, mass, shapes)
         self._set_solver()
         self._keep_ends_apart()
         return uid
@@ -154,12 +165,17 @@ class BulletWorld:
         self._set_rolling()
 
     def _set_rolling(self) -> None:
-        """Rolling friction of static bodies. Bullet multiplies it by the coefficient of the body that rolls."""
+        """Rolling friction and spring of static bodies. Bullet multiplies the first by the other body's coefficient."""
         least = min((self._friction.get(b.material, 1.0) for b in self.bodies.values() if b.rolls), default=0.0)
-        rolling = ROLLING_FRICTION / max(least, LEAST_FRICTION) if least else 0.0
+        faces = any(body.rolls_on_faces for body in self.bodies.values())
+        rolling = ROLLING_FRICTION_OF_FACES if faces else ROLLING_FRICTION
+        rolling = rolling / max(least, LEAST_FRICTION) if least else 0.0
+        # Bullet cannot take a spring off again; one without stiffness leaves contacts as they are without one.
+        self._springs = self._springs or faces
+        spring = {"contactStiffness": STIFFNESS * faces, "contactDamping": DAMPING} if self._springs else {}
         for uid, body in self.bodies.items():
             if body.mass == 0:
-                p.changeDynamics(uid, -1, rollingFriction=rolling, physicsClientId=self.client)
+                p.changeDynamics(uid, -1, rollingFriction=rolling, physicsClientId=self.client, **spring)
 
     def remove(self, body: int) -> None:
         p.removeBody(body, physicsClientId=self.client)
