@@ -88,6 +88,7 @@ class MakingProgress:
         """The result of a process, with the progress shown until it is there."""
         while not wait([future], timeout=_POLL_S).done:
             self.show()
+        self.show()
         return future.result()
 
     def show(self) -> None:
