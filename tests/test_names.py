@@ -6,14 +6,14 @@ import ast
 from collections import defaultdict
 
 from dgrasp.files import licences
-from tests.imports import ROOT
+from tests.imports import ROOT, tree
 
 
 def test_every_class_has_a_name_of_its_own() -> None:
     places: dict[str, list[str]] = defaultdict(list)
     for package in ("dgrasp", "raisim_like"):
         for path in sorted((ROOT / package).rglob("*.py")):
-            for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            for node in ast.walk(tree(path)):
                 if isinstance(node, ast.ClassDef):
                     places[node.name].append(path.relative_to(ROOT).as_posix())
     assert len(places) > 100

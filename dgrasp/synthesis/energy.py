@@ -15,6 +15,7 @@ import torch
 from torch import Tensor
 
 from dgrasp.hand.mano.skinning import axis_angle_rotations
+from dgrasp.rl.adam import Adam
 from dgrasp.synthesis.torch_hand import ObjectField, TorchHand, tensor
 from dgrasp.types import Array
 
@@ -165,7 +166,7 @@ def optimise(
     shares = torch.zeros(grasps.wanted.shape, requires_grad=True)
     leaves = {"t": t, "w": w, "motions": motions, "shares": shares}
     groups = [{"params": [leaf], "lr": _RATES[name]} for name, leaf in leaves.items()]
-    adam = torch.optim.Adam(groups, betas=(0.9, 0.98))
+    adam = Adam(groups, betas=(0.9, 0.98))
     slower = torch.optim.lr_scheduler.LambdaLR(adam, lambda k: 0.03 + 0.97 * math.cos(0.5 * math.pi * k / iterations))
 
     def current() -> Grasps:
