@@ -40,7 +40,7 @@ class DataChoice:
     source, split: the names of source and split ("file" for a label file outside the release).
     inertia: of the objects (`physics.official_compat`): "true"; "official", the authors' 1 kg m^2; or "mixed", true for
     added objects alone.
-    comparable_with_paper: whether hand and labels are the paper's.
+    differences: in what hand, labels and inertia differ from the paper's.
     notes: remarks on how the data was found.
     added: name -> object, for those of the labels' objects that are not among the 20 but were added by the user.
     """
@@ -55,7 +55,7 @@ class DataChoice:
     source: str
     split: str
     inertia: Inertia
-    comparable_with_paper: bool
+    differences: tuple[str, ...]
     notes: tuple[str, ...] = ()
     added: dict[str, StoredObject] = field(default_factory=dict)
 
@@ -68,6 +68,11 @@ class DataChoice:
     def hand(self) -> str:
         """The hand's id."""
         return self.hand_source.id
+
+    @property
+    def comparable_with_paper(self) -> bool:
+        """Whether hand, labels and inertia are the paper's."""
+        return not self.differences
 
     def stamp(self) -> dict[str, Any]:
         """Record of the choice for results and run folders: plain JSON values, without paths of this machine."""
@@ -121,12 +126,20 @@ def resolve(config: Config) -> DataChoice:
     own = [name for name in config.labels.objects if is_added(name, folders)]
     chosen = select(labels, config.labels.objects, config.labels.limit_per_object, own)
     added = {name: find_object(name, folders) for name in chosen.objects if name not in YCB_NAMES.values()}
-    comparable = kind == "release" and labels.comparable_with_paper and hand_urdf == root / "hand" / _HAND_FILES[kind]
+    differences = []
+    if kind != "release" or hand_urdf != root / "hand" / _HAND_FILES[kind]:
+        differences.append(f"the hand is {hand}, not the paper's")
+    if not labels.comparable_with_paper:
+        differences.append(f"the labels ({path.name}) are not the paper's")
+    inertia = _inertia(config, kind, chosen.objects, added)
+    if inertia != "official":
+        which = "added" if inertia == "mixed" else "the"
+        differences.append(f"{which} objects have true inertia, not the authors' 1 kg m2")
     return DataChoice(
         root=root, kind=kind, hand_source=source_of_hand, hand_sha256=sha256_of(hand_urdf),
         objects_dir=root / "objects", labels=chosen, added=added,
-        licence=labels.licence, source=source, split=split,
-        inertia=_inertia(config, kind, chosen.objects, added), comparable_with_paper=comparable, notes=tuple(notes),
+        licence=labels.licence, source=source, split=split, inertia=inertia, differences=tuple(differences),
+        notes=tuple(notes),
     )
 
 

@@ -16,8 +16,8 @@ ROOMS = {
         "evaluation", "training", "request", "tables", "gym", "commands", "cli", "__main__",
     ],
     "raisim_like": [
-        "errors", "rotations", "shapes", "shape_inertia", "contact", "urdf_gaps", "urdf", "kinematics", "material",
-        "batch", "engines", "rigid_body", "articulated_system", "world", "loop", "registry",
+        "errors", "rotations", "shapes", "shape_inertia", "contact", "urdf_gaps", "mimic", "urdf", "kinematics",
+        "material", "batch", "engines", "rigid_body", "articulated_system", "world", "loop", "registry",
     ],
 }  # fmt: skip
 """The modules and folders of each package, lowest first: each imports itself and what stands before it."""

@@ -10,6 +10,7 @@ from dgrasp.errors import DataError
 from dgrasp.files.typed import typed
 from dgrasp.rl.run.folder import BEST, latest
 from dgrasp.rl.run.folder import WEIGHTS_SUFFIX as SUFFIX
+from dgrasp.rl.run.whole import read_whole
 
 if TYPE_CHECKING:
     from dgrasp.rl.run.checkpoint import Checkpoint
@@ -43,6 +44,7 @@ def main(arguments: argparse.Namespace) -> int:
         raise DataError(f"--last: {source} is a checkpoint; expected a run directory, or no --last")
     if not source.is_dir() and not source.is_file():
         raise DataError(f"{source}: no such file; expected a run directory, or a checkpoint (.pt)")
+    read_whole(source if source.is_file() else latest(source), "a checkpoint of this project")
 
     from dgrasp.rl.run.checkpoint import load
     from dgrasp.rl.run.weights import write_weights

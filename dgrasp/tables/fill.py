@@ -40,6 +40,7 @@ class Cells:
     intervals: metric -> [low, high].
     n: number of labels (or motions).
     comparable: whether hand, labels, targets and the keys of the evaluation are the paper's.
+    differences: why not, as far as the results tell.
     evaluated: engine, window and commit of the evaluations.
     missing: why values are missing.
     notes: remarks on the values.
@@ -52,6 +53,7 @@ class Cells:
     intervals: dict[str, list[float]] = field(default_factory=dict)
     n: int = 0
     comparable: bool = False
+    differences: list[str] = field(default_factory=list)
     evaluated: list[str] = field(default_factory=list)
     missing: list[str] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
@@ -204,6 +206,7 @@ def _row(line: Line, seeds: Sequence[Found]) -> Cells:
     cells.values, cells.n = dict(whole.mean_over_objects), len(rows)
     cells.intervals = dict(whole.intervals["mean_over_objects"])
     cells.comparable = all(map(_comparable, results)) and not any(one.changed for one in there)
+    cells.differences = list(dict.fromkeys(why for one in results for why in one["data"].get("not_comparable", [])))
     cells.evaluated = list(dict.fromkeys(
         f"{result['engine']}, window {result['window_s']:g} s, version {result['commit'][:7]}" for result in results
     ))  # fmt: skip

@@ -143,6 +143,8 @@ BAD: dict[str, tuple[Callable[[str], str], str]] = {
     "finger on the wrist": (lambda t: t.replace('<parent link="palm"/><child link="thumb_0"/>',
                                                 '<parent link="wrist_rx_link"/><child link="thumb_0"/>'),
                             "hangs on a link of the wrist"),
+    "wrist follows": (lambda t: t.replace('<child link="long_1"/>', '<child link="long_1"/><mimic joint="wrist_rx"/>'),
+                      "joint long_1_joint has a <mimic> with a joint of the wrist"),
     "wrist turned": (lambda t: t.replace('<axis xyz="0 1 0"/>', '<axis xyz="0 0 1"/>', 1), "about axis y"),
     "MANO's alone": (lambda t: t, "a hand has 51 joints"),
 }
