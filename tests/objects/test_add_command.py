@@ -41,6 +41,7 @@ def test_from_a_mesh_to_a_result(tmp_path: Path, capsys: pytest.CaptureFixture[s
     result = json.loads((tmp_path / "r.json").read_text())
     assert list(result["per_object"]) == ["carton", "004_sugar_box"]
     assert list(result["data"]["added_objects"]) == ["carton"]
+    assert result["data"]["inertia"] == "true"
     assert str(tmp_path) not in json.dumps(result["data"])
     # The same box, once added and once from the free set: the same grasp gives the same result.
     first, second = result["per_label"]

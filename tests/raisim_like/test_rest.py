@@ -24,9 +24,9 @@ def solid_cylinder(radius: float, length: float, mass: float) -> Array:
     return np.diag([side, side, mass * radius**2 / 2])
 
 
-def bar(path: Path, low: float, high: float) -> Shape:
-    """A hull with 16 sides between two heights, of 8 mm radius."""
-    mesh = trimesh.creation.cylinder(0.008, high - low, sections=16)
+def bar(path: Path, low: float, high: float, sides: int = 16, radius: float = 0.008) -> Shape:
+    """A hull with `sides` sides between two heights."""
+    mesh = trimesh.creation.cylinder(radius, high - low, sections=sides)
     mesh.apply_translation([0, 0, (low + high) / 2])
     mesh.export(path)
     return Shape("hull", file=path)
@@ -67,6 +67,25 @@ def test_what_lies_untouched_stays(engine: str, preset: Preset, mass: float, fri
         turned = Rotation.from_quat(state[[4, 5, 6, 3]]) * Rotation.from_quat(start[[4, 5, 6, 3]]).inv()
         assert np.linalg.norm(state[:3] - start[:3]) < 1e-3, body.id
         assert np.degrees(turned.magnitude()) < 1.0, body.id
+    world.close()
+
+
+@pytest.mark.parametrize(("radius", "length", "sides", "mass", "friction"),
+                         [(0.007, 0.128, 38, 0.7, 0.4), (0.0106, 0.057, 43, 0.058, 0.8), (0.0066, 0.182, 36, 0.2, 0.4)])
+def test_a_hull_stays_on_a_narrow_face(
+    engine: str, radius: float, length: float, sides: int, mass: float, friction: float, tmp_path: Path
+) -> None:
+    world = World(engine, DT, "fast")
+    world.set_default_material(friction)
+    world.add_ground()
+    shape = bar(tmp_path / "bar.obj", -length / 2, length / 2, sides, radius)
+    body = world.add_body([shape], mass, solid_cylinder(radius, length, mass))
+    on_a_face = LYING * Rotation.from_euler("z", np.pi / sides)
+    body.set_state((0.1, 0.05, radius * np.cos(np.pi / sides)), wxyz(Rotation.from_euler("z", 2.0) * on_a_face))
+    start = body.state
+    world.integrate(round(5.0 / DT))
+    turned = Rotation.from_quat(body.state[[4, 5, 6, 3]]) * Rotation.from_quat(start[[4, 5, 6, 3]]).inv()
+    assert np.linalg.norm(body.state[:3] - start[:3]) < 1e-3 and np.degrees(turned.magnitude()) < 1.0
     world.close()
 
 
