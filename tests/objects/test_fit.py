@@ -93,6 +93,10 @@ def test_round_shapes_are_balanced(kind: str, mesh: trimesh.Trimesh) -> None:
     T = shape_pose(found[0])
     away = T[:3, :3].T @ (np.asarray(mesh.center_mass) - T[:3, 3])
     assert np.linalg.norm(away[: 3 if kind == "sphere" else 2]) < 1e-7
+    if kind == "cylinder":
+        # It ends where the bar does.
+        assert away[2] == pytest.approx(0.0, abs=1e-7)
+        assert found[0].size[1] == pytest.approx(np.ptp((mesh.vertices - mesh.center_mass) @ T[:3, 2]))
     if kind != "sphere":
         true = trimesh.transformations.rotation_matrix(0.7, (1.0, 2.0, 0.5))[:3, 2]
         assert abs(T[:3, 2] @ true) == pytest.approx(1.0, abs=1e-9)

@@ -34,7 +34,7 @@ from dgrasp.types import Array
 
 SURFACE_FACES = 20_000
 """Number of triangles to which a larger surface is simplified, if its shape allows (`simplified`)."""
-_VERSION = 5
+_VERSION = 6
 """Increases whenever the results for the same file and choices change."""
 _MADE = "made.json"
 _THIN = 2.0
@@ -226,7 +226,7 @@ def _write(folder: Path, files: dict[str, bytes], meta: dict[str, Any]) -> None:
         folder.parent.mkdir(parents=True, exist_ok=True)
         fresh = Path(tempfile.mkdtemp(dir=folder.parent, prefix=f".{folder.name}."))
     except OSError as error:
-        raise DataError(f"{folder}: cannot be written ({error.strerror or error})") from None
+        raise DataError(f"{folder}: cannot be written ({error.strerror or error}); choose another folder with --to") from None
     old = fresh.with_name(f"{fresh.name}.old")
     try:
         for name, content in files.items():
@@ -238,7 +238,7 @@ def _write(folder: Path, files: dict[str, bytes], meta: dict[str, Any]) -> None:
             folder.rename(old)
         fresh.rename(folder)
     except OSError as error:
-        raise DataError(f"{folder}: cannot be written ({error.strerror or error})") from None
+        raise DataError(f"{folder}: cannot be written ({error.strerror or error}); choose another folder with --to") from None
     finally:
         shutil.rmtree(fresh, ignore_errors=True)
         if old.is_dir() and not os.path.lexists(folder):

@@ -28,7 +28,7 @@ from dgrasp.objects.add.parts import convex_parts, obj_text
 from dgrasp.objects.add.repair import RepairedSolid
 from dgrasp.types import Array
 from raisim_like.rotations import quaternion_from_matrix, transform
-from raisim_like.shapes import Shape
+from raisim_like.shapes import Kind, Shape
 from raisim_like.urdf import shape_pose
 
 Choice = Literal["auto", "box", "cylinder", "sphere", "capsule", "parts", "mesh"]
@@ -163,6 +163,7 @@ def _balanced(shape: Shape, solid: RepairedSolid) -> list[Shape]:
     """A round shape moved sideways onto the solid's centre of mass: turned to the nearest principal axis, and as it is.
 
     A bar whose centre of mass is off its axis by a few hundredths of a millimetre rolls until it hangs below the axis.
+    A turned cylinder ends where the solid ends, so that what stands on its end is not dropped.
     """
     import trimesh
 
@@ -177,12 +178,19 @@ def _balanced(shape: Shape, solid: RepairedSolid) -> list[Shape]:
         return [_placed("sphere", shape.size, transform(np.eye(3), center))]
     _, axes = np.linalg.eigh(mesh.moment_inertia)
     nearest = axes[:, np.abs(axes.T @ T[:3, 2]).argmax()]
-    made = []
-    for axis in (nearest * np.sign(nearest @ T[:3, 2]), T[:3, 2]):
+    nearest *= np.sign(nearest @ T[:3, 2])
+
+    def along(axis: Array, middle: float, size: tuple[float, ...]) -> Shape:
         side = np.cross(T[:3, 1], axis)
         side /= np.linalg.norm(side)
         R = np.stack([side, np.cross(axis, side), axis], axis=1)
-        made.append(_placed(shape.kind, shape.size, transform(R, center + axis * (axis @ (T[:3, 3] - center)))))
+        return _placed(shape.kind, size, transform(R, center + axis * middle))
+
+    made = [along(axis, float(axis @ (T[:3, 3] - center)), shape.size) for axis in (nearest, T[:3, 2])]
+    if shape.kind == "cylinder":
+        heights = (np.asarray(mesh.vertices) - center) @ nearest
+        low, high = float(heights.min()), float(heights.max())
+        made.insert(0, along(nearest, (low + high) / 2, (shape.size[0], high - low)))
     return made
 
 
@@ -238,7 +246,7 @@ def _climb(cost: Callable[[Array], float], start: Array, steps: Array) -> Array:
     return np.asarray(found.x)
 
 
-def _placed(kind: Literal["box", "cylinder", "capsule", "sphere"], size: tuple[float, ...], T: Array) -> Shape:
+def _placed(kind: Kind, size: tuple[float, ...], T: Array) -> Shape:
     x, y, z = (float(v) for v in T[:3, 3])
     a, b, c, d = (float(v) for v in quaternion_from_matrix(np.asarray(T[:3, :3])))
     return Shape(kind, size, (x, y, z), (a, b, c, d))
