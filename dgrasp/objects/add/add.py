@@ -226,7 +226,7 @@ def _write(folder: Path, files: dict[str, bytes], meta: dict[str, Any]) -> None:
         folder.parent.mkdir(parents=True, exist_ok=True)
         fresh = Path(tempfile.mkdtemp(dir=folder.parent, prefix=f".{folder.name}."))
     except OSError as error:
-        raise DataError(f"{folder}: cannot be written ({error.strerror or error}); choose another folder with --to") from None
+        raise _not_written(folder, error) from None
     old = fresh.with_name(f"{fresh.name}.old")
     try:
         for name, content in files.items():
@@ -238,9 +238,13 @@ def _write(folder: Path, files: dict[str, bytes], meta: dict[str, Any]) -> None:
             folder.rename(old)
         fresh.rename(folder)
     except OSError as error:
-        raise DataError(f"{folder}: cannot be written ({error.strerror or error}); choose another folder with --to") from None
+        raise _not_written(folder, error) from None
     finally:
         shutil.rmtree(fresh, ignore_errors=True)
         if old.is_dir() and not os.path.lexists(folder):
             old.rename(folder)  # Stopped between the two renames: put the old folder back.
         shutil.rmtree(old, ignore_errors=True)
+
+
+def _not_written(folder: Path, error: OSError) -> DataError:
+    return DataError(f"{folder}: cannot be written ({error.strerror or error}); choose another folder with --to")
