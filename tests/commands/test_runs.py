@@ -151,8 +151,7 @@ def test_runs_are_listed_and_compared(tmp_path: Path, capsys: pytest.CaptureFixt
     assert lines[2] == ["b", "stopped", "free", "train", engine, "all", "10/20", "1,000", "0.25", "0.600", "0.600"]
     assert lines[3] == ["new", "new", "?", "mujoco", "all", "0/10000", "0", "0.00", "-", "-"]
     assert lines[4][:2] == ["resumed", "stopped"] and lines[4][6] == "11/12"
-    assert lines[5][:6] == ["steps", "finished", "free", "train,", "true", "inertia"]
-    assert lines[5][:2] == ["steps", "finished"] and lines[5][6] == "10/10"
+    assert lines[5][:6] == ["steps", "finished", "free", "train,", "true", "inertia"] and lines[5][8] == "10/10"
     assert lines[6][:2] == ["time", "finished"] and lines[6][6] == "10/20"
     # max_minutes is the share of a budget, so a run that reached it can continue.
     assert read_run(tmp_path / "steps").complete and not read_run(tmp_path / "time").complete
