@@ -11,9 +11,9 @@ from collections.abc import Sequence
 from importlib import import_module
 from typing import NoReturn
 
-from dgrasp import __version__
 from dgrasp.errors import DGraspError
 from dgrasp.rl.run.interrupts import Interrupted
+from dgrasp.version import __version__
 
 EXIT_BAD_INPUT, EXIT_INTERRUPTED = 2, 130
 COMMANDS = {
@@ -68,7 +68,7 @@ commands:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command; returns the exit code. Wrong use and bad input give one message on stderr and exit code 2."""
-    if sys.version_info < (3, 10):  # noqa: UP036, pip is not asked where a checkout's train.py is run.
+    if sys.version_info < (3, 10):  # noqa: UP036 (pip checks this, but a checkout's train.py runs without pip)
         found = ".".join(map(str, sys.version_info[:2]))
         print(f"dgrasp needs Python 3.10 or newer; this is {found}", file=sys.stderr)
         return EXIT_BAD_INPUT
@@ -85,7 +85,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         first = next((words[:n] for n in (2, 1) if any(c.split()[:n] == words[:n] for c in COMMANDS)), [])
         inner = [command for command in COMMANDS if first and command.split()[: len(first)] == first]
         if inner and words[len(first) : len(first) + 1] in (["-h"], ["--help"]):
-            print(f"usage: dgrasp {' '.join(first)} COMMAND ...      (--help after a command teaches it)\n\ncommands:")
+            print(f"usage: dgrasp {' '.join(first)} COMMAND ...      (COMMAND --help explains a command)\n\ncommands:")
             print("\n".join(f"  {command:<{max(map(len, inner))}}  {_SHORT[command]}" for command in inner))
             return 0
         print(f"error: {_unknown(words, len(first), inner)}", file=sys.stderr)

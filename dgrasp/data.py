@@ -16,13 +16,13 @@ from dgrasp.config.experiment import Config
 from dgrasp.config.sections import INERTIA, Inertia, which_inertia
 from dgrasp.errors import DataError
 from dgrasp.files.paths import data_root, user_data_root
-from dgrasp.hand.store import AUTHORS_HAND, FREE_HAND, HandSource, authors_source, find_hand, free_source
+from dgrasp.hand.store import AUTHORS_HAND, FREE_HAND, FREE_URDF, HandSource, authors_source, find_hand, free_source
 from dgrasp.labels.source import FREE, RELEASED, LabelSet, load_labels, select, sha256_of
 from dgrasp.objects.names import YCB_NAMES, nearest
 from dgrasp.objects.store import StoredObject, default_store, find_object, is_added
 
 Kind = Literal["free", "release"]
-_HAND_FILES: dict[Kind, str] = {"release": "mano_mean.urdf", "free": "free_hand.urdf"}
+_HAND_FILES: dict[Kind, str] = {"release": f"{AUTHORS_HAND}.urdf", "free": FREE_URDF.name}
 _HAND_IDS: dict[Kind, str] = {"release": AUTHORS_HAND, "free": FREE_HAND}
 _LAYOUT = "a folder laid out like the authors' release (hand/mano_mean.urdf, objects/NAME/*.obj, labels/*.pkl)"
 
@@ -40,7 +40,7 @@ class DataChoice:
     source, split: the names of source and split ("file" for a label file outside the release).
     inertia: of the objects (`physics.official_compat`): "true"; "official", the authors' 1 kg m^2; or "mixed", true for
     added objects alone.
-    comparable_with_paper: whether hand and labels are the paper's.
+    differences: in what hand, labels and inertia differ from the paper's.
     notes: remarks on how the data was found.
     added: name -> object, for those of the labels' objects that are not among the 20 but were added by the user.
     """
@@ -55,7 +55,7 @@ class DataChoice:
     source: str
     split: str
     inertia: Inertia
-    comparable_with_paper: bool
+    differences: tuple[str, ...]
     notes: tuple[str, ...] = ()
     added: dict[str, StoredObject] = field(default_factory=dict)
 
@@ -69,13 +69,18 @@ class DataChoice:
         """The hand's id."""
         return self.hand_source.id
 
+    @property
+    def comparable_with_paper(self) -> bool:
+        """Whether hand, labels and inertia are the paper's."""
+        return not self.differences
+
     def stamp(self) -> dict[str, Any]:
         """Record of the choice for results and run folders: plain JSON values, without paths of this machine."""
         added = {"added_objects": {name: entry.id for name, entry in self.added.items()}} if self.added else {}
         return {
             "kind": self.kind,
             "hand": self.hand,
-            "labels": self.labels.source.name,
+            "labels": self.labels.path.name,
             "source": self.source,
             "split": self.split,
             "n_labels": len(self.labels.labels),
@@ -92,7 +97,7 @@ class DataChoice:
     def describe(self) -> str:
         """One line: data folder, hand, labels, their number, licence, inertia of the objects, and notes."""
         which = f"{self.source} {self.split}" if self.source != "file" else "a file's"
-        line = (f"data {self.kind} ({self.root}): hand {self.hand}, {which} labels ({self.labels.source.name}), "
+        line = (f"data {self.kind} ({self.root}): hand {self.hand}, {which} labels ({self.labels.path.name}), "
                 f"{len(self.labels.labels)} of {len(self.labels.objects)} objects; licence: {self.licence}")
         added = [f"{len(self.added)} of them added: {', '.join(self.added)}"] if self.added else []
         return "; ".join([line, *added, INERTIA[self.inertia], *self.notes])
@@ -122,12 +127,20 @@ def resolve(config: Config) -> DataChoice:
     own = {name: found[0] for name, found in homes.items() if found}
     chosen = select(labels, config.labels.objects, config.labels.limit_per_object, own)
     added = {name: find_object(name, folders) for name in chosen.objects if name not in YCB_NAMES.values()}
-    comparable = kind == "release" and labels.comparable_with_paper and hand_urdf == root / "hand" / _HAND_FILES[kind]
+    differences = []
+    if kind != "release" or hand_urdf != root / "hand" / _HAND_FILES[kind]:
+        differences.append(f"the hand is {hand}, not the paper's")
+    if not labels.comparable_with_paper:
+        differences.append(f"the labels ({path.name}) are not the paper's")
+    inertia = _inertia(config, kind, chosen.objects, added)
+    if inertia != "official":
+        which = "added" if inertia == "mixed" else "the"
+        differences.append(f"{which} objects have true inertia, not the authors' 1 kg m2")
     return DataChoice(
         root=root, kind=kind, hand_source=source_of_hand, hand_sha256=sha256_of(hand_urdf),
         objects_dir=root / "objects", labels=chosen, added=added,
-        licence=labels.licence, source=source, split=split,
-        inertia=_inertia(config, kind, chosen.objects, added), comparable_with_paper=comparable, notes=tuple(notes),
+        licence=labels.licence, source=source, split=split, inertia=inertia, differences=tuple(differences),
+        notes=tuple(notes),
     )
 
 

@@ -11,12 +11,13 @@ from dgrasp.config.experiment import Config, find_config, make_config, read_valu
 from dgrasp.config.sections import SENSES
 from dgrasp.config.values import apply_overrides, override
 from dgrasp.data import DataChoice, resolve
-from dgrasp.errors import ConfigError, DataError
+from dgrasp.errors import ConfigError
 from dgrasp.eval.motion import usual_set
 from dgrasp.files.paths import data_root
 from dgrasp.methods import METHODS, PolicyMethod, method_of
 from dgrasp.methods.method import Method
 from dgrasp.rl.run.folder import PRETRAINED, PRETRAINED_FILE, WEIGHTS_SUFFIX, latest
+from dgrasp.rl.run.whole import check_policy_file
 
 if TYPE_CHECKING:
     from dgrasp.rl.run.policies import SavedPolicy
@@ -100,9 +101,8 @@ def make_request(asked: Asked) -> Request:
 
 
 def read_saved(path: Path) -> SavedPolicy:
-    """Read a saved policy. A missing file is refused before torch, which takes seconds to import, is loaded."""
-    if not path.is_file():
-        raise DataError(f"{path}: no such file; expected a checkpoint (.pt) or published weights ({WEIGHTS_SUFFIX})")
+    """Read a saved policy. Missing and damaged files are refused before torch, which takes seconds, is loaded."""
+    check_policy_file(path)
 
     from dgrasp.rl.run.policies import read_policy
 

@@ -126,7 +126,6 @@ def main(arguments: argparse.Namespace) -> int:
     request = make_request(asked_by(arguments))
     config, choice = request.config, request.choice
     print(choice.describe(), flush=True)
-    one_thread()
     evaluation = evaluate_choice if config.motion.targets is None else evaluate_motion
     result, records, spec = evaluation(request.method, config, choice)
     _write(arguments, request, result, records, spec)
@@ -174,13 +173,6 @@ def _write(
         # even if writing a file failed.
         output.print_table(result)
         print("\n".join(lines), end="\n" if lines else "")
-
-
-def one_thread() -> None:
-    """Give torch one thread; the workers use the other cores."""
-    import torch
-
-    torch.set_num_threads(1)
 
 
 def asked_by(arguments: argparse.Namespace) -> Asked:

@@ -18,7 +18,7 @@ rotated and scrubbed.
 examples:
   dgrasp test --run pretrained --records sequences
   dgrasp view sequences                                      writes sequences/view.html and opens it
-  dgrasp view sequences --shapes                             begins with what the physics collides
+  dgrasp view sequences --shapes                             begins with the collision shapes
   dgrasp view sequences/004_sugar_box_0003.npz --out box.html --no-browser
 """
 MOST = 40

@@ -16,6 +16,7 @@ from dgrasp.config.experiment import Config
 from dgrasp.data import DataChoice
 from dgrasp.errors import ConfigError, DataError
 from dgrasp.eval import metrics
+from dgrasp.eval.comparison import data_stamp
 from dgrasp.eval.evaluator import (
     Cost,
     Progress,
@@ -210,7 +211,7 @@ def motion_result(
         del about["n_stable"], about["left_out"]
     return summarise(
         rows, method=method.name, engine=config.engine, window_s=config.eval.window_s, seed=config.seed,
-        data=choice.stamp(), cost=motions.cost, motion=about,
+        data=data_stamp(method, config, choice), cost=motions.cost, motion=about,
     )  # fmt: skip
 
 

@@ -114,9 +114,7 @@ def _head(result: Result) -> str:
     items = "".join(f"<div><dt>{name}</dt><dd>{escape(str(value))}</dd></div>"
                     for name, value in facts.items() if value)
     split = f"{data.get('source')} {data.get('split')}" if data.get("source") != "file" else labels
-    notice = ""
-    if not data.get("comparable_with_paper"):
-        notice = f'<p class="notice">{escape(output.NOT_COMPARABLE.capitalize())}.</p>'
+    notice = "".join(f'<p class="notice">{escape(line[0].upper() + line[1:])}.</p>' for line in output.notices(result))
     task = f"The table is taken away, and the object must stay in the hand for {result.window_s:g} s."
     if result.motion is not None:
         task = "The wrist then carries the object to its targets."

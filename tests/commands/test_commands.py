@@ -248,7 +248,7 @@ def test_ctrl_c_leaves_a_usable_checkpoint_and_exits_130(folder, tmp_path):
     run = tmp_path / "interrupted"
     words = ["train.py", *PAPER, "--data", str(folder), "--run", str(run), "ppo.epochs=100000", *SHORT]
     process = subprocess.Popen(
-        [sys.executable, *words, "eval.every=100000", "pool.kind=process"], cwd=shipped_root(),
+        [sys.executable, *words, "eval.every=100000", "pool.kind=process", "pool.workers=1"], cwd=shipped_root(),
         stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True, env={**os.environ, "OMP_NUM_THREADS": "1"},
     )  # fmt: skip
     deadline = time.monotonic() + 120

@@ -46,7 +46,7 @@ def _wait_for_epoch(run: Path, epoch: int, process: subprocess.Popen[str]) -> No
 
 
 def test_sigterm_saves_and_ends_well(folder: Path, tmp_path: Path) -> None:
-    process = _train(folder, tmp_path / "run", "ppo.epochs=100000", "eval.every=100000", "pool.workers=2")
+    process = _train(folder, tmp_path / "run", "ppo.epochs=100000", "eval.every=100000", "pool.workers=1")
     _wait_for_epoch(tmp_path / "run", 1, process)
     assert is_running(tmp_path / "run")
     process.terminate()

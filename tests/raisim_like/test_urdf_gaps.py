@@ -1,4 +1,4 @@
-"""URDFs of others: scaled meshes, links without masses, joints that mimic."""
+"""URDFs of others: scaled meshes, links without masses."""
 
 from __future__ import annotations
 
@@ -31,13 +31,13 @@ def write_obj(path: Path, points: Array) -> Path:
     return path
 
 
-def robot(tmp_path: Path, links: list[str], joint: str = "") -> UrdfModel:
+def robot(tmp_path: Path, links: list[str]) -> UrdfModel:
     """A chain of sliders along z; links: what each holds."""
     lines = ['<robot name="r"><link name="base"/>']
     for i, content in enumerate(links):
         lines.append(f'<link name="l{i}">{content}</link><joint name="j{i}" type="prismatic"><axis xyz="0 0 1"/>'
                      f'<limit lower="-1" upper="1"/><parent link="{f"l{i - 1}" if i else "base"}"/>'
-                     f'<child link="l{i}"/>{joint}</joint>')
+                     f'<child link="l{i}"/></joint>')
     (tmp_path / "robot.urdf").write_text("".join([*lines, "</robot>"]))
     return read_urdf(tmp_path / "robot.urdf")
 
@@ -91,11 +91,6 @@ def test_meshes_of_which_no_mass_is_known(tmp_path: Path) -> None:
     (tmp_path / "part.stl").write_bytes(b"")
     with pytest.warns(UserWarning, match=r"no <inertial> in l0 \(.*part\.stl: no \.obj file"):
         assert robot(tmp_path, [collision('<mesh filename="part.stl"/>')]).mass == 0.0
-
-
-def test_mimic_joints_are_named(tmp_path: Path) -> None:
-    with pytest.warns(UserWarning, match=r"<mimic> is not simulated: j0 \(of j1\)"):
-        robot(tmp_path, [INERTIAL], '<mimic joint="j1" multiplier="0.5"/>')
 
 
 @pytest.mark.parametrize("engine", ["pybullet", "mujoco"])

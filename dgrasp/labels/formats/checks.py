@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from dgrasp.errors import DataError
 from dgrasp.types import Array
@@ -85,6 +84,8 @@ def check_wrist_keypoint(wrist: Array, joints: Array, where: Where) -> None:
 
 def poses_from_quaternions(rows: Array, name: str, where: Where) -> Array:
     """(n, 7), position m and quaternion w, x, y, z, as transforms (n, 4, 4); the quaternions are normalised."""
+    from scipy.spatial.transform import Rotation
+
     check_finite(rows, name, where)
     check_positions(rows[:, :3], name, where)
     length = np.linalg.norm(np.clip(rows[:, 3:], -2.0, 2.0), axis=1)
@@ -97,6 +98,8 @@ def poses_from_quaternions(rows: Array, name: str, where: Where) -> Array:
 
 def poses_from_euler(rows: Array, name: str, where: Where) -> Array:
     """(n, 6), position m and intrinsic XYZ Euler angles rad, as transforms (n, 4, 4)."""
+    from scipy.spatial.transform import Rotation
+
     check_finite(rows, name, where)
     check_positions(rows[:, :3], name, where)
     check_angles(rows[:, 3:], name, where)

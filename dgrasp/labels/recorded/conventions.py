@@ -10,7 +10,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from dgrasp.config.names import MANO_CONVENTIONS as CHOICES
 from dgrasp.errors import DataError
@@ -167,6 +166,8 @@ def _choose(table: ManoTable, model: ManoModel, betas: Array, options: list[Answ
 
 def _objects(table: ManoTable, at_origin: bool, given: Answers) -> Array:
     """T_AO (n, 4, 4)."""
+    from scipy.spatial.transform import Rotation
+
     there = [name for name in ("object_rotation", "object_translation") if name in table.values]
     if at_origin:
         if there:

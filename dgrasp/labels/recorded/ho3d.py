@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from dgrasp.errors import DataError
 from dgrasp.files.arrays import plain_text
@@ -55,6 +54,8 @@ def find_frames(root: Path, every: int) -> list[Path]:
 
 def read_annotation(path: Path) -> Annotation:
     """A frame's annotation. Raises `Skip` where hand or object is not annotated, `DataError` for a bad file."""
+    from scipy.spatial.transform import Rotation
+
     content = read_pickle(path, PlainUnpickler, "HO3D annotation", MAX_FILE_BYTES)
     if not isinstance(content, dict):
         raise DataError(f"{path}: holds a {type(content).__name__}; expected a dictionary; get the file again")

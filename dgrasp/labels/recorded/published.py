@@ -15,7 +15,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from dgrasp.errors import DataError
 from dgrasp.files.joblib import PlainUnpickler
@@ -180,6 +179,8 @@ def rotation_vectors(array: Array, rows_of_6d: bool) -> Array:
     6D numbers are a matrix's first two columns, or its first two rows where `rows_of_6d`. Raises ValueError where a
     matrix is none of a rotation.
     """
+    from scipy.spatial.transform import Rotation
+
     n, width = array.shape
     if width in (9, 135):
         R = array.reshape(-1, 3, 3)

@@ -13,8 +13,6 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from scipy.optimize import minimize
-from scipy.spatial import QhullError
 
 from dgrasp.config.names import OVERLAP, PRIMITIVES
 from dgrasp.errors import DataError
@@ -131,6 +129,7 @@ def fit_primitive(solid: RepairedSolid, kind: str) -> tuple[Shape, float] | None
     The candidates are the bounding shape and one that is fitted to points inside the solid.
     """
     import trimesh
+    from scipy.spatial import QhullError
 
     light = simplified(solid, _FIT_FACES)
     vertices, faces = light.mesh
@@ -240,6 +239,8 @@ def _climbed_cylinder(start: Shape, mesh: Any) -> Shape:
 
 
 def _climb(cost: Callable[[Array], float], start: Array, steps: Array) -> Array:
+    from scipy.optimize import minimize
+
     simplex = np.vstack([start, start + np.diag(steps)])
     found = minimize(cost, start, method="Nelder-Mead",
                      options={"maxiter": 100 * len(start), "initial_simplex": simplex, "xatol": 1e-5, "fatol": 1e-5})

@@ -26,7 +26,7 @@ from functools import cache
 import numpy as np
 
 from raisim_like.batch import Preset
-from raisim_like.engines.bullet.mass import axes_of, inverse
+from raisim_like.engines.bullet.mass import axes_of
 from raisim_like.engines.bullet.quiet_pybullet import pybullet as p
 from raisim_like.engines.protocol import Array
 from raisim_like.urdf import UrdfModel
@@ -136,7 +136,7 @@ class ControlBatch:
         Mh = Mb - axes.added_inertia(self.q[rows])
         diagonal = np.arange(Mh.shape[-1])
         Mh[:, diagonal, diagonal] += self.dt * self.D[rows]
-        X = inverse(Mh, axes.branches)
+        X = axes.response(Mh)
         for i, s in enumerate(stale):
             s.Mb[:], s.X[:], s.q_matrices[:] = Mb[i], X[i], s.q
 

@@ -23,7 +23,7 @@ ROLLING_FRICTION = 2e-5
 ROLLING_FRICTION_OF_FACES = 1e-4
 """m, the same for hulls. It is less than half the width of their narrowest faces, which resists rolling anyway."""
 LEAST_FRICTION = 0.05
-"""A body's coefficient, below which its rolling friction is less."""
+"""Coefficient of friction. Bodies with a smaller one get less rolling friction."""
 STIFFNESS, DAMPING = 1e9, 1e8
 """N/m and N s/m of static bodies under a hull. The spring takes back the share dt k / (dt k + d) of a contact's depth
 in each step, 4% at 4.4 ms. Of four nearly collinear contacts of a hull's narrow face, the solver lets one sink by 0.1%

@@ -1,4 +1,4 @@
-"""A PyBullet world that implements the engine protocol: bodies, contacts, pictures."""
+"""A PyBullet world that implements the engine protocol: bodies, control, contacts."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 from raisim_like.batch import Preset
 from raisim_like.contact import Contact
 from raisim_like.engines.body_frame import BodyFrame
-from raisim_like.engines.bullet.bodies import keep_ends_apart, make_articulated, make_body
+from raisim_like.engines.bullet.bodies import TIED_ERP, keep_ends_apart, make_articulated, make_body
 from raisim_like.engines.bullet.contacts import contacts_of, link_impulses, touching
 from raisim_like.engines.bullet.friction import factors
 from raisim_like.engines.bullet.pd import HOLD, ImplicitPd, blocks
@@ -78,7 +78,6 @@ class BulletWorld:
             # With error reduction, grasps that start inside the object would be pushed into a hold.
             contactERP=0.0,
             frictionERP=0.0,
-            erp=0.0,
             deterministicOverlappingPairs=1,
             # 0: each group must be in the other's mask; by default one match is enough.
             collisionFilterMode=0,
@@ -159,6 +158,7 @@ class BulletWorld:
             numSolverIterations=LIGHT_ITERATIONS if light else SOLVER_ITERATIONS,
             # A solver that stops early leaves torques that set a round body rolling.
             solverResidualThreshold=0.0 if rolls else RESIDUAL[self.preset],
+            erp=TIED_ERP if any(len(system.model.ties.followers) for system in self.systems.values()) else 0.0,
             physicsClientId=self.client,
         )
         self._threshold = BREAKING_THRESHOLD if rolls else CONTACT_BREAKING_THRESHOLD
@@ -217,6 +217,7 @@ class BulletWorld:
         uid = make_articulated(self.client, model, collision_mask, self_collision, enforce_limits)
         self.systems[uid] = ImplicitPd(self.client, uid, model, self.timestep)
         self._system_material[uid] = material
+        self._set_solver()
         self._keep_ends_apart()
         return uid
 
