@@ -9,7 +9,7 @@ import re
 import sys
 from collections.abc import Sequence
 from importlib import import_module
-from typing import NoReturn
+from typing import Any, NoReturn
 
 from dgrasp.errors import DGraspError
 from dgrasp.rl.run.interrupts import Interrupted
@@ -111,7 +111,12 @@ def _unknown(words: Sequence[str], known: int, inner: Sequence[str]) -> str:
 
 
 class _Parser(argparse.ArgumentParser):
-    """Says what is wrong with the options in one line, in place of the whole usage."""
+    """Says what is wrong with the options in one line, in place of the whole usage. Takes numbers such as -1e-5."""
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__(**options)
+        # argparse takes numbers with an exponent for options.
+        self._negative_number_matcher = re.compile(r"-(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?$")
 
     def error(self, message: str) -> NoReturn:
         given = re.match("unrecognized arguments: (--[^ =]+)", message)

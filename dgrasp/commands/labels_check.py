@@ -34,6 +34,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                         help="the data with the objects and the hand (default: as for training)")
     parser.add_argument("--hand", metavar="HAND", help="the hand, if it is not the hand of the data")
     parser.add_argument("--mano", metavar="FILE", help="the hand's MANO file; measures on MANO's skin")
+    parser.add_argument("--store", metavar="DIR", help="folder of added objects (default: data/objects)")
     parser.add_argument("--html", nargs="?", const="", metavar="PAGE",
                         help="write a page with a picture of each label, worst first (default: FILE with .html)")
     parser.add_argument("--shapes", action="store_true",
@@ -58,7 +59,7 @@ def main(arguments: argparse.Namespace) -> int:
     if arguments.shapes and page is None:
         raise ConfigError("--shapes: only valid with --html; add --html, or leave out --shapes")
     config = make_config({"data": arguments.data, "hand": arguments.hand, "labels": {"source": str(arguments.file)},
-                          "eval": {"mano": arguments.mano}}, "labels check")
+                          "eval": {"mano": arguments.mano}, "objects": arguments.store}, "labels check")
     choice = resolve(config)
     print(choice.describe(), flush=True)
     hand, objects = build_hand(choice), build_objects(choice, config)

@@ -92,7 +92,8 @@ def main(arguments: argparse.Namespace) -> int:
         name, pose = table.objects[row], grasps.hand_pose[row]
         contacts = maker.contacts(maker.model, grasps.betas[row], T_OH, pose, name)
         if not contacts.any():
-            skipped[f"row {row}"] = ("hand does not touch the object", name)
+            away = np.linalg.norm(T_OH[:3, 3])
+            skipped[f"row {row}"] = ("hand does not touch the object", f"{name}, wrist {away:.2g} m from its origin")
             continue
         # Without a table the world is the object's frame, as for the labels that the authors published.
         T_WO, T_WH = np.eye(4), T_OH

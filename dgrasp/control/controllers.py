@@ -90,7 +90,7 @@ class LabelPose:
     kp_position = HOLD_KP_POSITION
 
     def __init__(self, config: ActionConfig, hand: HandLayout) -> None:
-        self.sigma = np.zeros(hand.n_dof)
+        self.sigma: Array = np.zeros(hand.n_dof)
 
     def bias(self, state: SceneState, goal: GraspGoal, out: Array) -> None:
         out[:, :N_WRIST] = 0.0

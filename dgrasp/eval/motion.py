@@ -97,7 +97,8 @@ def run_motions(
     episode = grasp_steps(method, config) + steps
     test_steps = evaluation_steps(spec, method)
     total = len(which) * len(parts_of(spec)) * episode + (test_steps if motion.stable_alone else 0)
-    stable, done = np.ones(len(spec.labels), bool), 0
+    stable: Array = np.ones(len(spec.labels), bool)
+    done = 0
     costs: list[Cost] = []
     events: list[str] = []
     if motion.stable_alone:

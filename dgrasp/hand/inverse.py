@@ -36,7 +36,7 @@ def fit_keypoints(hand: HandModel, T_AH: Array, hand_pose: Array, targets: Array
     state = _Chains(hand, T_AH[:, :3, :3].copy(), T_AH[:, :3, 3].copy(), hand_pose.copy())
     limits = hand.limits[N_WRIST:].T
     low, high = np.minimum(limits[0], hand_pose), np.maximum(limits[1], hand_pose)
-    damping = np.full(len(targets), 1e-6)
+    damping: Array = np.full(len(targets), 1e-6)
     cost = _cost(state, targets, hand_pose)
     n, size = len(targets), 3 * hand.layout.n_keypoints
     diagonal = np.arange(hand.layout.n_dof)

@@ -118,7 +118,7 @@ def _parts(path: Path, urdf: UrdfModel) -> list[list[int]]:
 
 def _keypoints(path: Path, urdf: UrdfModel, part_links: Array, parents: Array) -> list[tuple[int, Array, str]]:
     """(part, offset in its frame, name) of each key point: the wrist, each part's origin, and each finger's tip."""
-    points = [(0, np.zeros(3), "wrist")]
+    points: list[tuple[int, Array, str]] = [(0, np.zeros(3), "wrist")]
     for part in range(1, len(part_links)):
         link = urdf.links[int(part_links[part])]
         points.append((part, np.zeros(3), link.name))

@@ -35,7 +35,8 @@ def shared_arrays(layout: Layout, name: str | None = None) -> tuple[SharedMemory
     """Named arrays in one block of shared memory: a new block, or the existing block `name`."""
     sizes = {key: int(np.prod(shape)) * np.dtype(kind).itemsize for key, (shape, kind) in layout.items()}
     memory = SharedMemory(name=name) if name else _new_memory(sum(sizes.values()))
-    arrays, offset = {}, 0
+    arrays: dict[str, Array] = {}
+    offset = 0
     for key, (shape, kind) in layout.items():
         arrays[key] = np.ndarray(shape, kind, buffer=memory.buf, offset=offset)
         offset += sizes[key]

@@ -98,7 +98,7 @@ def tile(clips: Sequence[Sequence[Array]], columns: int) -> list[Array]:
     length = max(len(clip) for clip in clips)
     height, width, _ = clips[0][0].shape
     rows = -(-len(clips) // columns)
-    frames = []
+    frames: list[Array] = []
     for t in range(length):
         canvas = np.full((rows * height, columns * width, 3), 255, np.uint8)
         for k, clip in enumerate(clips):

@@ -52,10 +52,7 @@ class ManoParams:
 
 def wrist_joints(model: ManoModel, betas: Array) -> Array:
     """(N, 3) m: J0, the wrist joint of shapes betas (N, S) at the zero pose, MANO's frame."""
-    rows = np.asarray(betas, dtype=float)
-    n = model.shape_basis.shape[2]
-    if rows.ndim != 2 or rows.shape[1] > n:
-        raise DataError(f"betas of shape {rows.shape}; expected (hands, at most {n})")
+    rows = model.own_betas(betas)
     if not (np.abs(rows) <= 20.0).all():
         raise DataError("betas beyond 20; expected finite numbers of a few units (mean 0, deviation 1)")
     # J0 needs one row of the regressor, for all shapes at once.

@@ -41,7 +41,8 @@ def as_rows(value: object, name: str, width: Sequence[int], where: str) -> Array
     """`value` as float64 (n, *width). Raises `DataError` unless it is a plain numeric array of that shape."""
     expected = f"expected an array of numbers of shape (labels, {', '.join(str(n) for n in width)})"
     if not isinstance(value, np.ndarray) or value.dtype.kind not in "biuf":
-        raise DataError(f"{where}: {name} is a {type(value).__name__} without plain numbers; {expected}")
+        kind = f"an array of {value.dtype}" if isinstance(value, np.ndarray) else f"a {type(value).__name__}"
+        raise DataError(f"{where}: {name} is {kind}; {expected}")
     if value.ndim != 1 + len(width) or value.shape[1:] != tuple(width):
         raise DataError(f"{where}: {name} has shape {value.shape}; {expected}")
     return value.astype(np.float64)

@@ -57,7 +57,11 @@ def read_grasps(table: ManoTable, model: ManoModel, given: Answers, mean_shape: 
         table.need("betas", "add them, or say --mean-shape")
         raise DataError(f"{table.path}: has betas; expected no --mean-shape then")
     betas = np.zeros((n, 1)) if mean_shape else table.values["betas"]
-    wrist_joints(model, betas)
+    try:
+        betas = model.own_betas(betas)
+        wrist_joints(model, betas)
+    except DataError as error:
+        raise DataError(f"{table.path}: {error}") from None
     _check_units(table, given)
     implied = _implied(table)
     for question, answer in implied.items():

@@ -113,9 +113,13 @@ def import_ho3d(
 
 def _label(path: Path, source: str, maker: LabelMaker) -> GraspLabel:
     annotation = read_annotation(path)
+    try:
+        betas = maker.model.own_betas(annotation.params.betas)[0]
+    except DataError as error:
+        raise Skip("shape of another hand model", str(error)) from None
     T_CH, hand_pose = annotation.params.coordinates(maker.model)
     T_OH = np.linalg.inv(annotation.T_CO) @ T_CH[0]
-    contacts = maker.contacts(maker.model, annotation.params.betas[0], T_OH, hand_pose[0], annotation.object)
+    contacts = maker.contacts(maker.model, betas, T_OH, hand_pose[0], annotation.object)
     if not contacts.any():
         raise Skip("hand does not touch the object")
     return maker.label(annotation.object, T_OH, hand_pose[0], np.eye(4), contacts, None, source, on_table=False)

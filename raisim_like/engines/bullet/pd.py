@@ -54,7 +54,7 @@ class ImplicitPd:
         self.h = np.zeros(n)
         self.Mb, self.X = np.zeros((n, n)), np.zeros((n, n))
         self.forces: list[float] = []
-        self.motion = np.zeros((2, n))
+        self.motion: Array = np.zeros((2, n))
         """Coordinates and velocities that Bullet last reported; a view of the batch's array during a call."""
         # Coordinates at which Mb and X = Mh^-1 were computed; infinite where they must be computed.
         self.q_matrices = np.full(n, np.inf)
