@@ -101,8 +101,9 @@ def _unknown(words: Sequence[str], known: int, inner: Sequence[str]) -> str:
     given = [" ".join(words[:n]) for n in (3, 2, 1) if n <= len(words)]
     close = [found for text in given for found in difflib.get_close_matches(text, offered, 1)]
     if not close:
-        # A single word of a longer command, such as `dgrasp lables`.
+        # A single word of a longer command: `dgrasp lables` means its first word, `dgrasp mkae` all of it.
         whole = {word: name for name in reversed(offered) for word in name.split()}
+        whole |= {name.split()[known]: " ".join(name.split()[: known + 1]) for name in offered}
         near = [difflib.get_close_matches(word, [*whole], 1) for word in words[known : known + 1]]
         close = [whole[found] for matches in near for found in matches]
     hint = f"did you mean {close[0]!r}?" if close else f"expected one of {', '.join(offered)}"

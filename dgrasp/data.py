@@ -123,7 +123,8 @@ def resolve(config: Config) -> DataChoice:
                         "a grasp fits only its own hand; choose data and labels that go together (--data, --labels, "
                         "hand=)")
     folders = _object_folders(config, root)
-    own = [name for name in config.labels.objects if is_added(name, folders)]
+    homes = {name: [folder for folder in folders if is_added(name, [folder])] for name in config.labels.objects}
+    own = {name: found[0] for name, found in homes.items() if found}
     chosen = select(labels, config.labels.objects, config.labels.limit_per_object, own)
     added = {name: find_object(name, folders) for name in chosen.objects if name not in YCB_NAMES.values()}
     differences = []

@@ -201,3 +201,14 @@ def test_the_window_is_a_whole_number_of_control_steps() -> None:
     assert Config.model_validate({"eval": {"window_s": 3.87}}).window_steps == 134
     assert Config.model_validate({"eval": {"window_s": 0.001}}).window_steps == 1
     assert control_steps(0.001, 0.02886) == 0 and control_steps(0.1, 0.02886) == 3
+
+
+def test_a_missing_file_names_the_nearest(tmp_path: Path) -> None:
+    (tmp_path / "mine.yaml").write_text("seed: 2\n")
+    with pytest.raises(ConfigError) as caught:
+        load_config(tmp_path / "mien.yaml")
+    assert str(caught.value).endswith(
+        f"cannot read the config (No such file or directory); did you mean {str(tmp_path / 'mine.yaml')!r}?"
+    )
+    with pytest.raises(ConfigError, match=r"did you mean 'cfg/fast\.yaml'"):
+        load_config(Path("cfg/fast.yml"))

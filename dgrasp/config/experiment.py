@@ -190,7 +190,13 @@ def read_values(path: Path) -> dict[str, Any]:
     """The plain values of a YAML config."""
     try:
         text = Path(path).read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
+    except OSError as error:
+        folders = {path.parent, *([cfg_root()] if path.parent == Path("cfg") else [])}
+        there = [file.name for folder in folders for file in folder.glob("*.yaml")]
+        near = difflib.get_close_matches(path.name, there, 1)
+        hint = f"; did you mean {str(path.parent / near[0])!r}?" if near else ""
+        raise ConfigError(f"{path}: cannot read the config ({error.strerror}){hint}") from None
+    except UnicodeDecodeError as error:
         raise ConfigError(f"{path}: cannot read the config ({error})") from None
     values = parse_yaml(text, str(path))
     values = {} if values is None else values

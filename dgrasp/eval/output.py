@@ -14,6 +14,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from dgrasp.config.sections import INERTIA
 from dgrasp.eval.summary import Result
 from dgrasp.files.atomic import write_atomic
 
@@ -102,8 +103,14 @@ def remarks(result: Result) -> list[str]:
     if result.motion is not None and result.motion.get("left_out"):
         lines.append(f"{len(result.motion['left_out'])} of {result.motion['n_grasps']} grasps did not pass the "
                      f"stability test of {result.window_s:g} s and were left out, as in the paper")
-    used = [f"{key} {result.data[key]}" for key in ("hand", "labels", "inertia", "licence") if key in result.data]
+    used = [f"{key} {result.data[key]}" for key in ("hand", "labels", "licence") if key in result.data]
+    used += filter(None, [inertia(result)])
     return [*lines, "; ".join([*used, f"seed {result.seed}", f"code {result.commit}"])]
+
+
+def inertia(result: Result) -> str:
+    """The inertia that the objects had, in words; empty if the result does not say."""
+    return INERTIA.get(result.data.get("inertia", ""), "")
 
 
 def _about_interpenetration(result: Result) -> list[str]:

@@ -5,7 +5,8 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import os
-from collections.abc import Callable, Collection, Mapping, Sequence
+import shlex
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
@@ -158,14 +159,14 @@ def published_as(name: str) -> tuple[str, str] | None:
 
 def select(
     labels: LabelSet, objects: Sequence[str] = (), limit_per_object: int | None = None,
-    added: Collection[str] = (),
+    added: Mapping[str, Path] | None = None,
 ) -> LabelSet:
     """Select the labels of `objects` (all if empty), at most the first `limit_per_object` of each, in their order.
 
     Objects are given as `resolve_object` takes them, or as sets (`splits.object_set`). added: those of `objects` that
-    the user added. Raises `DataError` if an object is unknown or has no label here.
+    the user added, with the folder that holds theirs. Raises `DataError` if an object is unknown or has no label here.
     """
-    there = labels.objects
+    there, added = labels.objects, added or {}
     wanted = set(there)
     if objects:
         wanted = set()
@@ -179,8 +180,10 @@ def select(
             full = name if name in there or name in added else resolve_object(name)
             if full not in there:
                 known = "an object that was added" if name in added else "one of the 20 objects"
+                words = ["dgrasp", "labels", "make", "--objects", full, "--number", "25", "--out", f"{full}.npz"]
+                words += ["--store", str(added[name])] if name in added else []
                 raise DataError(f"{labels.path}: no label of {full!r}, {known}; it has {', '.join(there)}; choose "
-                                f"one of these, or make labels with `dgrasp labels make --objects {full}`")
+                                f"one of these, or make labels with `{shlex.join(words)}`")
             wanted.add(full)
     taken: dict[str, int] = dict.fromkeys(there, 0)
     chosen = []

@@ -108,6 +108,7 @@ def _head(result: Result) -> str:
     facts = {
         "Engine": result.engine, "Window": f"{result.window_s:g} s",
         "Labels": f"{result.n_labels}, of {len(result.per_object)} objects ({labels})", "Hand": data.get("hand"),
+        "Inertia": output.inertia(result),
         "Seed": result.seed, "Code": str(result.commit)[:12], "Licence": data.get("licence"),
     }
     items = "".join(f"<div><dt>{name}</dt><dd>{escape(str(value))}</dd></div>"

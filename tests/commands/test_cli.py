@@ -14,6 +14,7 @@ from dgrasp.files.paths import cfg_root
     ("words", "said"),
     [
         ("tran", "unknown command 'tran'; did you mean 'train'?"),
+        ("lables", "unknown command 'lables'; did you mean 'labels'?"),
         ("lables make", "unknown command 'lables'; did you mean 'labels make'?"),
         ("labels chek", "unknown command 'labels chek'; did you mean 'labels check'?"),
         ("labels import dexyc x", "unknown command 'labels import dexyc'; did you mean 'labels import dexycb'?"),

@@ -130,3 +130,14 @@ def test_a_failed_write_leaves_the_old_file(tmp_path: Path, free: Result) -> Non
     with pytest.raises(DataError, match="cannot be written"):
         output.write_json(free, path / "b.json")
     assert path.read_text() == "old"
+
+
+@pytest.mark.parametrize(
+    ("inertia", "words"),
+    [("true", "true inertia"), ("official", "the authors' inertia of 1 kg m2"), (None, None)],
+)
+def test_the_inertia_in_words(inertia: str | None, words: str | None) -> None:
+    one = result(ROWS, FREE if inertia is None else {**FREE, "inertia": inertia})
+    last = output.remarks(one)[-1]
+    assert "inertia" not in last if words is None else f"; {words}; seed" in last
+    assert words is None or f"; {words}; seed" in output.markdown_text(one)

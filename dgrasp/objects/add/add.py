@@ -33,7 +33,7 @@ from dgrasp.types import Array
 
 SURFACE_FACES = 20_000
 """Number of triangles to which a larger surface is simplified, if its shape allows (`simplified`)."""
-_VERSION = 3
+_VERSION = 6
 """Increases whenever the results for the same file and choices change."""
 _MADE = "made.json"
 _THIN = 2.0
@@ -221,8 +221,11 @@ def _check_inertia(path: Path, kg: float, inertia: Array, solid: Array, bounds: 
 
 def _write(folder: Path, files: dict[str, bytes], meta: dict[str, Any]) -> None:
     """Write the object's folder in one step; it replaces an existing one."""
-    with replaced_folder(folder) as fresh:
-        for name, content in files.items():
-            (fresh / name).write_bytes(content)
-        text = json.dumps(meta, indent=1) + "\n"
-        (fresh / store.META_FILE).write_text(text, encoding="utf-8", newline="\n")
+    try:
+        with replaced_folder(folder) as fresh:
+            for name, content in files.items():
+                (fresh / name).write_bytes(content)
+            text = json.dumps(meta, indent=1) + "\n"
+            (fresh / store.META_FILE).write_text(text, encoding="utf-8", newline="\n")
+    except DataError as error:
+        raise DataError(f"{error}; choose another folder with --to") from None

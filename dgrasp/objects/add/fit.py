@@ -25,8 +25,8 @@ from dgrasp.geometry.shape_mesh import shape_mesh
 from dgrasp.objects.add.parts import convex_parts, obj_text
 from dgrasp.objects.add.repair import RepairedSolid
 from dgrasp.types import Array
-from raisim_like.rotations import quaternion_from_matrix
-from raisim_like.shapes import Shape
+from raisim_like.rotations import quaternion_from_matrix, transform
+from raisim_like.shapes import Kind, Shape
 from raisim_like.urdf import shape_pose
 
 Choice = Literal["auto", "box", "cylinder", "sphere", "capsule", "parts", "mesh"]
@@ -38,6 +38,8 @@ COLLISION_FACES = 500
 _FIT_FACES, _FIT_POINTS = 3000, 6000
 _EXACT = 0.998
 """Overlap above which no better shape is sought."""
+_FIT_ERROR, _OFF_AXIS = 0.01, 0.02
+"""Overlap, and share of a round shape's radius, by which a fit to counted points may be off."""
 
 
 @dataclass(frozen=True)
@@ -149,7 +151,46 @@ def fit_primitive(solid: RepairedSolid, kind: str) -> tuple[Shape, float] | None
     if not rated:
         return None
     best = max(rated, key=lambda entry: entry[0])[1]
-    return best, union_overlap(solid, (best,))
+    overlap = union_overlap(solid, (best,))
+    for shape in _balanced(best, solid):
+        if (reached := union_overlap(solid, (shape,))) >= overlap - _FIT_ERROR:
+            return shape, reached
+    return best, overlap
+
+
+def _balanced(shape: Shape, solid: RepairedSolid) -> list[Shape]:
+    """A round shape moved sideways onto the solid's centre of mass: turned to the nearest principal axis, and as it is.
+
+    A bar whose centre of mass is off its axis by a few hundredths of a millimetre rolls until it hangs below the axis.
+    A turned cylinder ends where the solid ends, so that what stands on its end is not dropped.
+    """
+    import trimesh
+
+    if shape.kind not in ("cylinder", "capsule", "sphere"):
+        return []
+    mesh = trimesh.Trimesh(*solid.mesh, process=False)
+    center, T = np.asarray(mesh.center_mass), shape_pose(shape)
+    away = T[:3, :3].T @ (center - T[:3, 3])
+    if np.linalg.norm(away[: 3 if shape.kind == "sphere" else 2]) > _OFF_AXIS * shape.size[0]:
+        return []
+    if shape.kind == "sphere":
+        return [_placed("sphere", shape.size, transform(np.eye(3), center))]
+    _, axes = np.linalg.eigh(mesh.moment_inertia)
+    nearest = axes[:, np.abs(axes.T @ T[:3, 2]).argmax()]
+    nearest *= np.sign(nearest @ T[:3, 2])
+
+    def along(axis: Array, middle: float, size: tuple[float, ...]) -> Shape:
+        side = np.cross(T[:3, 1], axis)
+        side /= np.linalg.norm(side)
+        R = np.stack([side, np.cross(axis, side), axis], axis=1)
+        return _placed(shape.kind, size, transform(R, center + axis * middle))
+
+    made = [along(axis, float(axis @ (T[:3, 3] - center)), shape.size) for axis in (nearest, T[:3, 2])]
+    if shape.kind == "cylinder":
+        heights = (np.asarray(mesh.vertices) - center) @ nearest
+        low, high = float(heights.min()), float(heights.max())
+        made.insert(0, along(nearest, (low + high) / 2, (shape.size[0], high - low)))
+    return made
 
 
 def _bounding(kind: str, mesh: Any) -> list[Shape]:
@@ -206,7 +247,7 @@ def _climb(cost: Callable[[Array], float], start: Array, steps: Array) -> Array:
     return np.asarray(found.x)
 
 
-def _placed(kind: Literal["box", "cylinder", "sphere"], size: tuple[float, ...], T: Array) -> Shape:
+def _placed(kind: Kind, size: tuple[float, ...], T: Array) -> Shape:
     x, y, z = (float(v) for v in T[:3, 3])
     a, b, c, d = (float(v) for v in quaternion_from_matrix(np.asarray(T[:3, :3])))
     return Shape(kind, size, (x, y, z), (a, b, c, d))
