@@ -251,7 +251,7 @@ def test_what_is_refused(
         ("object,transl_0,transl_1,transl_2\n004,1,2,inf\n", "row 0: transl holds NaN, infinity"),
         ("object,transl_0,transl_1,transl_2\n", "rows per quantity"),
         ("", "rows per quantity"),
-        ("\0\0", "duplicate column"),
+        ("\0\0", "expected arrays or columns"),
         ('object,transl_0\n"004', "neither .npz nor .csv"),
     ],
 )

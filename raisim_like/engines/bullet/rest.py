@@ -25,9 +25,10 @@ ROLLING_FRICTION_OF_FACES = 1e-4
 LEAST_FRICTION = 0.05
 """Coefficient of friction. Bodies with a smaller one get less rolling friction."""
 STIFFNESS, DAMPING = 1e9, 1e8
-"""N/m and N s/m of static bodies under a hull. The spring takes back the share dt k / (dt k + d) of a contact's depth
-in each step, 4% at 4.4 ms. Of four nearly collinear contacts of a hull's narrow face, the solver lets one sink by 0.1%
-of what gravity adds in a step. Without a spring it never rises again, and the hull rolls onto the next face."""
+"""N/m and N s/m of static bodies. The spring takes back the share dt k / (dt k + d) of a contact's depth in each step,
+4% at 4.4 ms. Where contacts are close together for the size of the body (the narrow face of a hull, the end of a pencil
+that stands), the solver lets one of them sink by 0.1% of what gravity adds in a step. Without a spring it never rises
+again, and the body tips over the edge."""
 DISC = 0.004
 """m. Thickness of the discs at a cylinder's ends; Bullet rounds their edges by 1 mm."""
 

@@ -171,8 +171,8 @@ class BulletWorld:
         rolling = ROLLING_FRICTION_OF_FACES if faces else ROLLING_FRICTION
         rolling = rolling / max(least, LEAST_FRICTION) if least else 0.0
         # Bullet cannot take a spring off again; one without stiffness leaves contacts as they are without one.
-        self._springs = self._springs or faces
-        spring = {"contactStiffness": STIFFNESS * faces, "contactDamping": DAMPING} if self._springs else {}
+        self._springs = self._springs or least > 0.0
+        spring = {"contactStiffness": STIFFNESS * (least > 0.0), "contactDamping": DAMPING} if self._springs else {}
         for uid, body in self.bodies.items():
             if body.mass == 0:
                 p.changeDynamics(uid, -1, rollingFriction=rolling, physicsClientId=self.client, **spring)
