@@ -1,0 +1,146 @@
+"""The cutter: its hulls hold the solid, and reach no farther beyond it than the tolerance."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cache
+
+import manifold3d
+import numpy as np
+import pytest
+import trimesh
+
+from dgrasp.geometry.inside import inside_hull
+from dgrasp.objects.add.cut import cut
+from dgrasp.objects.add.repair import repair
+from dgrasp.types import Array
+
+TOLERANCE = 0.002
+GRID = 0.9 * TOLERANCE
+"""m. A hull may reach farther beyond the solid than the tolerance by less than this between points of the grid."""
+Hulls = list[Array]
+
+
+def made(mesh: trimesh.Trimesh) -> manifold3d.Manifold:
+    return repair(np.asarray(mesh.vertices), np.asarray(mesh.faces)).solid
+
+
+def held(hulls: Hulls, points: Array) -> Array:
+    return np.any([inside_hull(hull, points) for hull in hulls], axis=0)
+
+
+def in_box(low: tuple[float, ...], high: tuple[float, ...], count: int = 4000) -> Array:
+    return np.random.default_rng(0).uniform(low, high, (count, 3))
+
+
+@cache
+def hoop() -> Hulls:
+    """A ring of radius 30 mm, of a tube of radius 4 mm."""
+    return cut(made(trimesh.creation.torus(0.03, 0.004, major_sections=32, minor_sections=8)), TOLERANCE, 64)
+
+
+@cache
+def bowl() -> Hulls:
+    """Half a hollow ball of radius 40 mm, open towards +z, with a wall of 4 mm."""
+    ball = manifold3d.Manifold.sphere
+    return cut((ball(0.04, 32) - ball(0.036, 32)).trim_by_plane((0.0, 0.0, -1.0), 0.0), TOLERANCE, 64)
+
+
+@cache
+def mug() -> Hulls:
+    """A cup of radius 30 mm, 60 mm high, with walls of 4 mm, and at +x a handle of a tube of radius 4 mm."""
+    cylinder = manifold3d.Manifold.cylinder
+    cup = cylinder(0.06, 0.03, circular_segments=32) - cylinder(0.06, 0.026, circular_segments=32).translate((0, 0, 0.004))
+    ring = made(trimesh.creation.torus(0.018, 0.004, major_sections=24, minor_sections=8))
+    handle = ring.rotate((90.0, 0.0, 0.0)).translate((0.04, 0.0, 0.03)) - cylinder(0.06, 0.028, circular_segments=32)
+    return cut(cup + handle, TOLERANCE, 64)
+
+
+def from_hoop(points: Array) -> Array:
+    """Distance from the hoop, negative inside."""
+    return np.hypot(np.hypot(points[:, 0], points[:, 1]) - 0.03, points[:, 2]) - 0.004
+
+
+def from_bowl(points: Array) -> Array:
+    """Distance from the bowl, negative inside; near its rim, a little less."""
+    radius = np.linalg.norm(points, axis=1)
+    return np.maximum(np.maximum(radius - 0.04, 0.036 - radius), points[:, 2])
+
+
+def from_mug(points: Array) -> Array:
+    """Distance from the mug, negative inside; near its edges, a little less."""
+    x, y, z = points.T
+    rho = np.hypot(x, y)
+    cup = np.maximum.reduce([rho - 0.03, -z, z - 0.06, np.minimum(0.026 - rho, z - 0.004)])
+    ring = np.hypot(np.hypot(x - 0.04, z - 0.03) - 0.018, y) - 0.004
+    return np.minimum(cup, np.maximum(ring, 0.028 - rho))
+
+
+SHAPES: dict[str, tuple[Callable[[], Hulls], Callable[[Array], Array], Array]] = {
+    "hoop": (hoop, from_hoop, in_box((-0.04, -0.04, -0.008), (0.04, 0.04, 0.008))),
+    "bowl": (bowl, from_bowl, in_box((-0.045, -0.045, -0.045), (0.045, 0.045, 0.005))),
+    "mug": (mug, from_mug, in_box((-0.035, -0.035, -0.005), (0.065, 0.035, 0.065), 12000)),
+}
+
+
+@pytest.mark.parametrize("name", SHAPES)
+def test_thin_solids_are_held_and_their_hollows_are_free(name: str) -> None:
+    make, distance, points = SHAPES[name]
+    hulls = make()
+    assert 1 < len(hulls) <= 64 and all(len(hull) >= 4 for hull in hulls)
+    far, inside = distance(points), held(hulls, points)
+    # The meshes are polygons in the round shapes: what lies 0.5 mm deep lies in them too.
+    assert inside[far < -0.0005].mean() > 0.99
+    assert far[inside].max() < TOLERANCE + GRID
+
+
+def test_the_hollows_of_the_mug_stay_open() -> None:
+    rho, turn = 0.026 * np.random.default_rng(1).random(4000) ** 0.5, np.linspace(0.0, 200.0, 4000)
+    height = np.random.default_rng(2).uniform(0.004, 0.06, 4000)
+    cup = np.column_stack([rho * np.cos(turn), rho * np.sin(turn), height])
+    assert held(mug(), cup).mean() < 0.1
+    ring = np.column_stack([0.04 + 0.014 / 0.026 * cup[:, 0], np.zeros(4000), 0.03 + 0.014 / 0.026 * cup[:, 1]])
+    assert held(mug(), ring[ring[:, 0] > 0.03]).mean() < 0.15
+
+
+def test_a_convex_solid_is_its_own_hull() -> None:
+    (hull,) = cut(manifold3d.Manifold.cube((0.06, 0.05, 0.04), True), TOLERANCE, 64)
+    assert sorted(map(tuple, np.abs(hull))) == [(0.03, 0.025, 0.02)] * 8
+
+
+def test_what_is_apart_stays_apart_while_there_are_hulls_enough() -> None:
+    cube = manifold3d.Manifold.cube((0.02, 0.02, 0.02), True)
+    two = cube + cube.translate((0.05, 0.0, 0.0))
+    assert sorted(hull[:, 0].max() for hull in cut(two, TOLERANCE, 2)) == pytest.approx([0.01, 0.06])
+    (one,) = cut(two, TOLERANCE, 1)
+    assert one[:, 0].min() == pytest.approx(-0.01) and one[:, 0].max() == pytest.approx(0.06)
+
+
+def test_few_hulls_still_hold_the_solid() -> None:
+    ring = made(trimesh.creation.torus(0.03, 0.004, major_sections=32, minor_sections=8))
+    hulls = cut(ring, TOLERANCE, 6)
+    assert len(hulls) <= 6 and held(hulls, ring.to_mesh64().vert_properties[:, :3] * 0.9999).mean() > 0.8
+    far = from_hoop(np.concatenate(hulls))
+    assert far.max() < 1e-6
+
+
+def test_the_same_solid_gives_the_same_hulls() -> None:
+    ring = trimesh.creation.torus(0.03, 0.004, major_sections=32, minor_sections=8)
+    first, second = hoop(), cut(made(ring), TOLERANCE, 64)
+    assert len(first) == len(second) and all(np.array_equal(a, b) for a, b in zip(first, second, strict=True))
+
+
+def test_a_mesh_that_cuts_through_itself() -> None:
+    # An L of 10 mm bars. Two faces of one bar are pushed through each other, so that it encloses a negative volume.
+    outline = [(0.0, 0.0), (0.05, 0.0), (0.05, 0.01), (0.01, 0.01), (0.01, 0.05), (0.0, 0.05)]
+    plain = manifold3d.CrossSection([outline]).extrude(0.01).refine_to_length(0.005)
+    mesh = plain.to_mesh64()
+    vertices = np.array(mesh.vert_properties[:, :3])
+    low = (vertices[:, 0] > 0.03) & (vertices[:, 1] < 1e-9)
+    vertices[low, 1] = 0.012
+    crossed = manifold3d.Manifold(manifold3d.Mesh64(vertices, mesh.tri_verts))
+    assert crossed.volume() < 0.8 * plain.volume()
+    hulls = cut(crossed, TOLERANCE, 64)
+    corner = in_box((0.014, 0.014, 0.0), (0.05, 0.05, 0.01))
+    bars = np.concatenate([in_box((0.0, 0.0, 0.0), (0.028, 0.01, 0.01)), in_box((0.0, 0.0, 0.0), (0.01, 0.05, 0.01))])
+    assert len(hulls) <= 6 and held(hulls, corner).mean() < 0.02 and held(hulls, bars).mean() > 0.99
