@@ -30,10 +30,12 @@ _NORMALS = np.array([n for n in itertools.product((-1.0, 0.0, 1.0), repeat=3) if
 _NORMALS = _NORMALS[np.argsort(np.count_nonzero(_NORMALS, axis=1), kind="stable")]
 _NORMALS /= np.linalg.norm(_NORMALS, axis=1, keepdims=True)
 """Normals of the planes that are tried: the three axes, then the diagonals between two and three of them."""
-_PLACES = 8
+_PLACES = 6
 """Intervals between the planes that are tried along each normal. The best planes are then moved by parts of one."""
-_POINTS = 1500
+_POINTS = 1000
 """Grid points by which planes are compared, about."""
+_ROUGH = 0.4
+"""Share of the tolerance by which the surface may move where planes are compared; few vertices make that quick."""
 _BALANCE = 0.05
 """Weight of the worse side. It decides while no plane is better, as with a ring, whose halves should be equal."""
 _WIDER = 1.1
@@ -120,9 +122,10 @@ def _within(planes: Array, points: Array) -> Array:
 class _Piece:
     """A connected piece of the solid: its surface, its hull, and the points that the hull holds in vain."""
 
-    def __init__(self, solid: Any, hull: Hull, space: _Space) -> None:
+    def __init__(self, solid: Any, hull: Hull, space: _Space, slack: float) -> None:
         self.solid, self.hull = solid, hull
-        self.vertices, faces = _triangles(solid)
+        rough = solid.simplify(slack)
+        self.vertices, faces = _triangles(solid if rough.is_empty() else rough)
         edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
         self.edges = edges[edges[:, 0] < edges[:, 1]]
         self.points, self.distances = space.held(hull, 0.0)
@@ -140,7 +143,7 @@ def _cut(solid: Any, space: _Space, tolerance: float, most: int) -> list[Hull]:
             hull = _hull(_triangles(part)[0])
             if hull is None:
                 continue
-            piece = _Piece(part, hull, space)
+            piece = _Piece(part, hull, space, _ROUGH * tolerance)
             if piece.distances.max(initial=0.0) <= tolerance:
                 done.append(hull)
             else:
