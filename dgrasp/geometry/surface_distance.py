@@ -30,18 +30,27 @@ def surface_samples(vertices: Array, faces: Array, spacing: float) -> tuple[Arra
     return a[owner] + s[:, None] * u[owner] + t[:, None] * v[owner], owner
 
 
-def surface_distances(points: Array, vertices: Array, faces: Array, spacing: float) -> Array:
-    """(N,) m: the distances of points (N, 3) from triangles: vertices (V, 3) m, faces (F, 3).
+class Surface:
+    """Triangles that distances are measured from: vertices (V, 3) m, faces (F, 3).
 
     Points near the surface are measured against the faces of the three nearest of samples `spacing` m apart, points
-    farther than four times that against the nearest sample. The result may be too large by a fraction of the spacing;
+    farther than four times that against the nearest sample. A distance may be too large by a fraction of the spacing;
     it is never too small.
     """
-    samples, owner = surface_samples(vertices, faces, spacing)
-    far, near = cKDTree(samples).query(points, k=min(3, len(samples)))
-    far, near = far.reshape(len(points), -1), near.reshape(len(points), -1)
-    distances, triangles = far[:, 0].copy(), vertices[faces]
-    close = np.flatnonzero(distances < 4.0 * spacing)
-    for column in near[close].T:
-        distances[close] = np.minimum(distances[close], triangle_distances(triangles[owner[column]], points[close]))
-    return np.asarray(distances)
+
+    def __init__(self, vertices: Array, faces: Array, spacing: float) -> None:
+        self.spacing, self.triangles = spacing, vertices[faces]
+        samples, self.owner = surface_samples(vertices, faces, spacing)
+        self.tree = cKDTree(samples)
+
+    def distances(self, points: Array) -> Array:
+        """(N,) m: the distances of points (N, 3)."""
+        if not len(points):
+            return np.zeros(0)
+        far, near = self.tree.query(points, k=[1, 2, 3] if self.tree.n > 2 else [1])
+        distances = far[:, 0].copy()
+        close = np.flatnonzero(distances < 4.0 * self.spacing)
+        for column in near[close].T:
+            found = triangle_distances(self.triangles[self.owner[column]], points[close])
+            distances[close] = np.minimum(distances[close], found)
+        return np.asarray(distances)
