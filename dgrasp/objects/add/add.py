@@ -165,8 +165,8 @@ def _make(mesh: MeshFile, vertices: Array, unit: str, choice: Choice, threshold:
     side = 1000 * min(fit.shapes[0].size, default=np.inf)
     thin = [f"only {side:.2g} mm thick"] if fit.kind == "box" and side < _THIN else []
     return {
-        "units": unit, "remarks": [*mesh.notes, *solid.notes, *thin, *fit.gaps.remarks()], "faces": len(faces), "bounds_m": [low, high],
-        "volume_m3": volume,
+        "units": unit, "remarks": [*mesh.notes, *solid.notes, *thin, *fit.gaps.remarks()], "faces": len(faces),
+        "bounds_m": [low, high], "volume_m3": volume,
         "center_m": np.asarray(whole.center_mass).tolist(),
         "inertia_per_density": np.asarray((whole.moment_inertia + whole.moment_inertia.T) / 2).tolist(),
         "kind": fit.kind, "overlap": fit.overlap, "share_close": fit.gaps.share_close, "farthest_m": fit.gaps.largest,

@@ -29,7 +29,7 @@ _FIRST = 40
 """Points of a hull that are looked at first, about. Most hulls that reach too far do so at one of these."""
 _THICKNESS = 1e-5
 """m. A hull is flat if its volume is less than this times its area."""
-_WIDER = 1.25
+_WIDER = 1.1
 """Factor of the tolerance while there are too many hulls."""
 
 
@@ -103,7 +103,7 @@ def _hull(points: Array) -> _Hull | None:
 
 
 def _halved(solid: Any, space: _Space, tolerance: float) -> list[_Hull]:
-    """Hulls of pieces within the tolerance, or `_MOST_PIECES` hulls. The piece that reaches farthest is halved first."""
+    """Hulls of pieces within the tolerance, or `_MOST_PIECES`. The piece that reaches farthest is halved first."""
     done: list[_Hull] = []
     waiting: list[tuple[float, int, Any, _Hull]] = []
     number = itertools.count()

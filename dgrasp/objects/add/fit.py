@@ -1,7 +1,7 @@
 """Choose a solid's collision shapes: a box, cylinder, sphere or capsule if one fits, else convex parts.
 
-A primitive fits by two measures. The volume overlap |A and B| / |A or B| (intersection over union), by booleans, chooses
-among them; the distances between the surfaces refuse one that leaves out a handle or fills a hollow.
+The volume overlap |A and B| / |A or B| (intersection over union), by booleans, chooses among the primitives. The
+distances between the surfaces refuse one that leaves out a handle or fills a hollow.
 """
 
 from __future__ import annotations
@@ -34,6 +34,7 @@ from raisim_like.shapes import Shape
 from raisim_like.urdf import shape_pose
 
 Choice = Literal["auto", "box", "cylinder", "sphere", "capsule", "parts", "mesh"]
+COLLISION_FILE = "collision.obj"
 FARTHEST = 0.006
 """Largest distance between the surfaces of a solid and of a primitive that is taken, m."""
 COLLISION_FACES = 2000
