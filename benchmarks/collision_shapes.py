@@ -16,11 +16,11 @@ from pathlib import Path
 
 import manifold3d
 import numpy as np
+import trimesh
 from scipy.ndimage import distance_transform_edt, label
 
 from dgrasp.files.atomic import write_atomic
 from dgrasp.geometry.inertia import load_mesh
-from dgrasp.geometry.inside import inside_hull
 from dgrasp.geometry.shape_mesh import shape_mesh
 from dgrasp.geometry.winding import winding_grid
 from dgrasp.objects.add.judge import CLOSE, judge
@@ -80,10 +80,9 @@ def measure(solid: RepairedSolid) -> list[str]:
     away = pitch * distance_transform_edt(~inside)
     core = pitch * distance_transform_edt(inside) >= _THIN / 2
     thin = inside & (pitch * distance_transform_edt(~core) > _THIN / 2) if core.any() else inside
-    points = first + pitch * np.stack(np.nonzero(~inside), axis=1)
-    held = np.zeros(size, dtype=bool)
-    held[~inside] = inside_hull(vertices, points)
-    wide = held & (pitch * distance_transform_edt(~(away >= _BALL)) <= _BALL)
+    hull = trimesh.convex.convex_hull(vertices)
+    held = winding_grid(np.asarray(hull.vertices), np.asarray(hull.faces), first, pitch, size) > 0
+    wide = held & ~inside & (pitch * distance_transform_edt(~(away >= _BALL)) <= _BALL)
     places, count = label(wide)
     deep = np.zeros(count + 1)
     np.maximum.at(deep, places.ravel(), away.ravel())
