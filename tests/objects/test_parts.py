@@ -210,7 +210,7 @@ def test_bad_meshes_are_named(tmp_path: Path, cuts: list[RepairedSolid]) -> None
         convex_parts(empty)
     flat = tmp_path / "flat.obj"
     flat.write_text("v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nf 1 2 3\nf 1 3 4\n")
-    with pytest.raises(DataError, match=r"flat\.obj: the mesh is flat"):
+    with pytest.raises(DataError, match=r"flat\.obj: fewer than four faces that have an area"):
         convex_parts(flat)
     assert cuts == []
 

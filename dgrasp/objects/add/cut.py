@@ -19,10 +19,10 @@ from dgrasp.geometry.surface_distance import Surface, surface_samples
 from dgrasp.geometry.winding import winding_grid
 from dgrasp.types import Array
 
-_FINE, _MOST_PIECES = 0.7, 320
+_FINE, _MOST_PIECES = 0.7, 256
 """How far the pieces to be merged may reach, as a share of the tolerance, and how many there are at most, about."""
-_PITCH, _MOST_POINTS = 0.8, 500_000
-"""Spacing of points, as a share of the tolerance; wider for an object whose grid would have more points than this."""
+_MOST_POINTS = 500_000
+"""Most points of the grid, about. Points are one tolerance apart, or more for an object that would take more."""
 _ASKEW = np.array([0.137, 0.271, 0.393])
 """Share of the spacing by which the grid is shifted, so that no flat face lies along its points."""
 _FIRST = 40
@@ -64,7 +64,7 @@ class _Space:
     def __init__(self, solid: Any, tolerance: float) -> None:
         vertices, faces = _triangles(solid)
         low, high = vertices.min(axis=0), vertices.max(axis=0)
-        self.pitch = max(_PITCH * tolerance, float((np.prod(high - low) / _MOST_POINTS) ** (1.0 / 3.0)))
+        self.pitch = max(tolerance, float((np.prod(high - low) / _MOST_POINTS) ** (1.0 / 3.0)))
         self.low = low - self.pitch * _ASKEW
         counts = np.ceil((high - self.low) / self.pitch).astype(int) + 1
         size = (int(counts[0]), int(counts[1]), int(counts[2]))
@@ -114,14 +114,16 @@ def _halved(solid: Any, space: _Space, tolerance: float) -> list[_Hull]:
             if hull is None:
                 continue
             reach = space.reach(hull, np.inf)
-            if reach <= tolerance:
+            if reach <= tolerance or np.ptp(hull.vertices, axis=0).max() < tolerance:
                 done.append(hull)
             else:
                 # Rounded, because equal values must be equal on every machine.
                 heapq.heappush(waiting, (-round(reach, 7), next(number), piece, hull))
 
     add(solid)
-    while waiting and len(done) + len(waiting) < _MOST_PIECES:
+    for _ in range(_MOST_PIECES):
+        if not waiting or len(done) + len(waiting) >= _MOST_PIECES:
+            break
         _, _, piece, hull = heapq.heappop(waiting)
         low, high = hull.vertices.min(axis=0), hull.vertices.max(axis=0)
         normal = np.eye(3)[int(np.argmax(high - low))]
