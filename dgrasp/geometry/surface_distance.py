@@ -30,7 +30,7 @@ def surface_samples(vertices: Array, faces: Array, spacing: float) -> tuple[Arra
     return a[owner] + s[:, None] * u[owner] + t[:, None] * v[owner], owner
 
 
-class Surface:
+class SampledSurface:
     """Triangles that distances are measured from: vertices (V, 3) m, faces (F, 3).
 
     Points near the surface are measured against the faces of the three nearest of samples `spacing` m apart, points

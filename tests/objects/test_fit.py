@@ -85,8 +85,8 @@ def test_a_torus_is_no_primitive(tmp_path: Path) -> None:
     # The hull fills the hole: 2 pi^2 R r^2 = 222 cm3 of about 361 cm3.
     assert made.kind == "parts" and made.overlap == pytest.approx(0.615, abs=0.04)
     assert all(made.tried[kind] < 0.7 for kind in ("box", "cylinder", "sphere", "capsule"))
-    # The hull's flat ends are farthest from the ring in the middle, sqrt(R^2 + r^2) - r.
-    assert made.gaps.largest == pytest.approx(np.hypot(0.05, 0.015) - 0.015, abs=0.001)
+    # The flat ends of the hull are farthest from the ring in the middle: sqrt(R^2 + r^2) - r, less a speck around it.
+    assert made.gaps.largest == pytest.approx(np.hypot(0.05, 0.015) - 0.015, abs=0.003)
     assert made.gaps.share_close < 0.7
 
 

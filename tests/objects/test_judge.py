@@ -6,7 +6,7 @@ import manifold3d
 import numpy as np
 import pytest
 
-from dgrasp.geometry.surface_distance import Surface, surface_samples
+from dgrasp.geometry.surface_distance import SampledSurface, surface_samples
 from dgrasp.objects.add.judge import judge
 from dgrasp.objects.add.repair import RepairedSolid
 from raisim_like.shapes import Shape
@@ -56,7 +56,7 @@ def test_samples_are_spread_by_area() -> None:
 
 def test_distances_are_those_to_the_triangles() -> None:
     vertices = np.array([[0.0, 0.0, 0.0], [0.03, 0.0, 0.0], [0.0, 0.03, 0.0]])
-    plate = Surface(vertices, np.array([[0, 1, 2]]), 0.001)
+    plate = SampledSurface(vertices, np.array([[0, 1, 2]]), 0.001)
     # Above the middle, beyond a corner, and in the plane beyond the long side.
     points = np.array([[0.01, 0.01, 0.003], [-0.0015, -0.002, 0.0], [0.016, 0.016, 0.0], [0.01, 0.01, 0.05]])
     assert plate.distances(points[:3]) == pytest.approx([0.003, 0.0025, 0.002 / 2**0.5], abs=1e-6)

@@ -15,11 +15,11 @@ from typing import Any
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 
-from dgrasp.geometry.surface_distance import Surface, surface_samples
+from dgrasp.geometry.surface_distance import SampledSurface, surface_samples
 from dgrasp.geometry.winding import winding_grid
 from dgrasp.types import Array
 
-_FINE, _MOST_PIECES = 0.7, 256
+_FINE, _MOST_PIECES = 0.7, 500
 """How far the pieces to be merged may reach, as a share of the tolerance, and how many there are at most, about."""
 _MOST_POINTS = 500_000
 """Most points of the grid, about. Points are one tolerance apart, or more for an object that would take more."""
@@ -69,7 +69,7 @@ class _Space:
         counts = np.ceil((high - self.low) / self.pitch).astype(int) + 1
         size = (int(counts[0]), int(counts[1]), int(counts[2]))
         self.inside = winding_grid(vertices, faces, self.low, self.pitch, size) > 0
-        self.surface = Surface(vertices, faces, self.pitch)
+        self.surface = SampledSurface(vertices, faces, self.pitch)
 
     def reach(self, hull: _Hull, enough: float) -> float:
         """How far a hull's surface is beyond the solid, m; from `enough` on, this or less."""

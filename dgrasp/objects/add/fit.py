@@ -35,7 +35,7 @@ from raisim_like.urdf import shape_pose
 
 Choice = Literal["auto", "box", "cylinder", "sphere", "capsule", "parts", "mesh"]
 COLLISION_FILE = "collision.obj"
-FARTHEST = 0.006
+FARTHEST = 0.007
 """Largest distance between the surfaces of a solid and of a primitive that is taken, m."""
 COLLISION_FACES = 2000
 """Triangles of the mesh that collides; more if its surface would move too far (`simplified`)."""

@@ -9,7 +9,7 @@ import numpy as np
 
 from dgrasp.geometry.intersection import body
 from dgrasp.geometry.shape_mesh import shape_mesh
-from dgrasp.geometry.surface_distance import Surface, surface_samples
+from dgrasp.geometry.surface_distance import SampledSurface, surface_samples
 from dgrasp.objects.add.repair import RepairedSolid
 from dgrasp.types import Array
 from raisim_like.shapes import Shape
@@ -66,8 +66,8 @@ def judge(solid: RepairedSolid, shapes: Sequence[Shape]) -> Gaps:
     theirs = body([shape_mesh(shape) for shape in shapes]).surface()
     spacing = [_spacing(*own), _spacing(*theirs)]
     missed, added = surface_samples(*own, spacing[0])[0], surface_samples(*theirs, spacing[1])[0]
-    return Gaps(missed, Surface(*theirs, spacing[1]).distances(missed), added,
-                Surface(*own, spacing[0]).distances(added))
+    return Gaps(missed, SampledSurface(*theirs, spacing[1]).distances(missed), added,
+                SampledSurface(*own, spacing[0]).distances(added))
 
 
 def _spacing(vertices: Array, faces: Array) -> float:

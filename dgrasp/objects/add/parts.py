@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 TOLERANCE, LEAST_SHARE = 0.0015, 0.02
 """How far a part may reach beyond the surface, m; less for objects of which it is more than this share of the size."""
-MOST_PARTS, MOST_VERTICES = 64, 64
+MOST_PARTS, MOST_VERTICES = 96, 64
 """Most parts of an object, and most vertices of each."""
 _SLACK = 0.1
 """Share of the tolerance by which a surface may move when its triangles and the parts' vertices are thinned out."""
