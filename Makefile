@@ -22,11 +22,12 @@ demo: .venv/.installed
 	@$(PY) -m dgrasp demo
 
 # One thread per process, because torch's threads in two pytest workers would compete for the cores. The tests of a file
-# stay in one worker, because they share slow fixtures.
+# stay in one worker, because they share slow fixtures. The files run in the order of tests/conftest.py: long ones first.
+# Bytecode is kept whatever the environment says, because the tests start many interpreters.
 test: .venv/.installed-dev
 	$(PY) -m ruff check .
 	$(PY) -m mypy
-	OMP_NUM_THREADS=1 $(PY) -m pytest -q -n 2 --dist loadfile
+	PYTHONDONTWRITEBYTECODE= OMP_NUM_THREADS=1 $(PY) -m pytest -q -n 2 --dist loadfile --no-loadscope-reorder
 
 clean:
 	rm -rf .venv build dist dgrasp.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis

@@ -2,20 +2,24 @@
 
 from __future__ import annotations
 
-from importlib import import_module
 from typing import TYPE_CHECKING
+
+from dgrasp.version import __version__
 
 if TYPE_CHECKING:
     from pathlib import Path
-    from typing import Any
 
-__version__ = "0.1.0"
+    from dgrasp.gym import GymPolicy
+
+__all__ = ["__version__", "load_policy"]
 
 
-def load_policy(source: str | Path) -> Any:
+def load_policy(source: str | Path) -> GymPolicy:
     """A trained policy as a function from observations to actions of the Gymnasium environments.
 
     source: a run directory, a checkpoint, published weights, or "pretrained"; see `dgrasp.gym.load_policy`.
     """
-    # By name, as the modules of this package import it.
-    return import_module("dgrasp.gym").load_policy(source)
+    # Imported late: Gymnasium and torch take seconds, and most programs need neither.
+    from dgrasp.gym import load_policy
+
+    return load_policy(source)

@@ -19,20 +19,20 @@ from dgrasp.pool import Pool, PoolSpec, make_pool
 from dgrasp.rl.collect import Actor
 from dgrasp.scene.standing import standing
 from raisim_like.errors import EngineError
-from raisim_like.registry import find_engine
+from raisim_like.registry import CONCAVE_MESHES, find_engine
 
 
 def build_objects(choice: DataChoice, config: Config) -> dict[str, ObjectModel]:
     """The physics models of the objects that the chosen labels need."""
     physics = config.physics
-    concave: Concave = "parts" if config.engine == "mujoco" else physics.concave
+    concave: Concave = physics.concave if config.engine in CONCAVE_MESHES else "parts"
 
     def build(name: str) -> ObjectModel:
         if name in choice.added:
-            return load_object(choice.added[name].folder, physics.official_compat, parts=concave == "parts")
+            return load_object(choice.added[name].folder, physics.official_inertia(False), parts=concave == "parts")
         if choice.kind == "free":
-            return free_object(name, physics.masses, physics.official_compat)
-        return release_object(choice.objects_dir, name, physics.masses, physics.official_compat, concave)
+            return free_object(name, physics.masses, physics.official_inertia(False))
+        return release_object(choice.objects_dir, name, physics.masses, physics.official_inertia(True), concave)
 
     return {name: build(name) for name in choice.labels.objects}
 
@@ -44,7 +44,7 @@ def build_hand(choice: DataChoice) -> HandModel:
         there, here = getattr(choice.labels.names, what), getattr(hand.layout.names, what)
         if there != here:
             other = next(pair for pair in zip_longest(there, here) if pair[0] != pair[1])
-            raise DataError(f"{choice.labels.source}: labels of {len(there)} {what}, but the hand {hand.id!r} has "
+            raise DataError(f"{choice.labels.path}: labels of {len(there)} {what}, but the hand {hand.id!r} has "
                             f"{len(here)}; the first difference is {other[0]!r} in the labels, {other[1]!r} in the "
                             "hand; choose the hand that the labels were made for (hand=)")
     return hand

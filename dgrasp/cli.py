@@ -9,11 +9,11 @@ import re
 import sys
 from collections.abc import Sequence
 from importlib import import_module
-from typing import NoReturn
+from typing import Any, NoReturn
 
-from dgrasp import __version__
 from dgrasp.errors import DGraspError
 from dgrasp.rl.run.interrupts import Interrupted
+from dgrasp.version import __version__
 
 EXIT_BAD_INPUT, EXIT_INTERRUPTED = 2, 130
 COMMANDS = {
@@ -68,7 +68,7 @@ commands:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command; returns the exit code. Wrong use and bad input give one message on stderr and exit code 2."""
-    if sys.version_info < (3, 10):  # noqa: UP036, pip is not asked where a checkout's train.py is run.
+    if sys.version_info < (3, 10):  # noqa: UP036 (pip checks this, but a checkout's train.py runs without pip)
         found = ".".join(map(str, sys.version_info[:2]))
         print(f"dgrasp needs Python 3.10 or newer; this is {found}", file=sys.stderr)
         return EXIT_BAD_INPUT
@@ -85,7 +85,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         first = next((words[:n] for n in (2, 1) if any(c.split()[:n] == words[:n] for c in COMMANDS)), [])
         inner = [command for command in COMMANDS if first and command.split()[: len(first)] == first]
         if inner and words[len(first) : len(first) + 1] in (["-h"], ["--help"]):
-            print(f"usage: dgrasp {' '.join(first)} COMMAND ...      (--help after a command teaches it)\n\ncommands:")
+            print(f"usage: dgrasp {' '.join(first)} COMMAND ...      (COMMAND --help explains a command)\n\ncommands:")
             print("\n".join(f"  {command:<{max(map(len, inner))}}  {_SHORT[command]}" for command in inner))
             return 0
         print(f"error: {_unknown(words, len(first), inner)}", file=sys.stderr)
@@ -101,8 +101,9 @@ def _unknown(words: Sequence[str], known: int, inner: Sequence[str]) -> str:
     given = [" ".join(words[:n]) for n in (3, 2, 1) if n <= len(words)]
     close = [found for text in given for found in difflib.get_close_matches(text, offered, 1)]
     if not close:
-        # A single word of a longer command, such as `dgrasp lables`.
+        # A single word of a longer command: `dgrasp lables` means its first word, `dgrasp mkae` all of it.
         whole = {word: name for name in reversed(offered) for word in name.split()}
+        whole |= {name.split()[known]: " ".join(name.split()[: known + 1]) for name in offered}
         near = [difflib.get_close_matches(word, [*whole], 1) for word in words[known : known + 1]]
         close = [whole[found] for matches in near for found in matches]
     hint = f"did you mean {close[0]!r}?" if close else f"expected one of {', '.join(offered)}"
@@ -110,7 +111,12 @@ def _unknown(words: Sequence[str], known: int, inner: Sequence[str]) -> str:
 
 
 class _Parser(argparse.ArgumentParser):
-    """Says what is wrong with the options in one line, in place of the whole usage."""
+    """Says what is wrong with the options in one line, in place of the whole usage. Takes numbers such as -1e-5."""
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__(**options)
+        # argparse takes numbers with an exponent for options.
+        self._negative_number_matcher = re.compile(r"-(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?$")
 
     def error(self, message: str) -> NoReturn:
         given = re.match("unrecognized arguments: (--[^ =]+)", message)

@@ -7,20 +7,22 @@ laid out like the authors' release; a folder with this layout under data/; the f
 from __future__ import annotations
 
 import os
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
 from dgrasp.config.experiment import Config
+from dgrasp.config.sections import INERTIA, Inertia, which_inertia
 from dgrasp.errors import DataError
 from dgrasp.files.paths import data_root, user_data_root
-from dgrasp.hand.store import AUTHORS_HAND, FREE_HAND, HandSource, authors_source, find_hand, free_source
+from dgrasp.hand.store import AUTHORS_HAND, FREE_HAND, FREE_URDF, HandSource, authors_source, find_hand, free_source
 from dgrasp.labels.source import FREE, RELEASED, LabelSet, load_labels, select, sha256_of
 from dgrasp.objects.names import YCB_NAMES, nearest
 from dgrasp.objects.store import StoredObject, default_store, find_object, is_added
 
 Kind = Literal["free", "release"]
-_HAND_FILES: dict[Kind, str] = {"release": "mano_mean.urdf", "free": "free_hand.urdf"}
+_HAND_FILES: dict[Kind, str] = {"release": f"{AUTHORS_HAND}.urdf", "free": FREE_URDF.name}
 _HAND_IDS: dict[Kind, str] = {"release": AUTHORS_HAND, "free": FREE_HAND}
 _LAYOUT = "a folder laid out like the authors' release (hand/mano_mean.urdf, objects/NAME/*.obj, labels/*.pkl)"
 
@@ -36,7 +38,9 @@ class DataChoice:
     labels: the chosen labels.
     licence: the licence of the labels.
     source, split: the names of source and split ("file" for a label file outside the release).
-    comparable_with_paper: whether hand and labels are the paper's.
+    inertia: of the objects (`physics.official_compat`): "true"; "official", the authors' 1 kg m^2; or "mixed", true for
+    added objects alone.
+    differences: in what hand, labels and inertia differ from the paper's.
     notes: remarks on how the data was found.
     added: name -> object, for those of the labels' objects that are not among the 20 but were added by the user.
     """
@@ -50,7 +54,8 @@ class DataChoice:
     licence: str
     source: str
     split: str
-    comparable_with_paper: bool
+    inertia: Inertia
+    differences: tuple[str, ...]
     notes: tuple[str, ...] = ()
     added: dict[str, StoredObject] = field(default_factory=dict)
 
@@ -64,13 +69,18 @@ class DataChoice:
         """The hand's id."""
         return self.hand_source.id
 
+    @property
+    def comparable_with_paper(self) -> bool:
+        """Whether hand, labels and inertia are the paper's."""
+        return not self.differences
+
     def stamp(self) -> dict[str, Any]:
         """Record of the choice for results and run folders: plain JSON values, without paths of this machine."""
         added = {"added_objects": {name: entry.id for name, entry in self.added.items()}} if self.added else {}
         return {
             "kind": self.kind,
             "hand": self.hand,
-            "labels": self.labels.source.name,
+            "labels": self.labels.path.name,
             "source": self.source,
             "split": self.split,
             "n_labels": len(self.labels.labels),
@@ -79,17 +89,18 @@ class DataChoice:
             "hand_file": self.hand_urdf.name,
             "hand_sha256": self.hand_sha256,
             "labels_sha256": self.labels.sha256,
+            "inertia": self.inertia,
             "comparable_with_paper": self.comparable_with_paper,
             **added,
         }
 
     def describe(self) -> str:
-        """One line: data folder, hand, labels, their number, licence and notes."""
+        """One line: data folder, hand, labels, their number, licence, inertia of the objects, and notes."""
         which = f"{self.source} {self.split}" if self.source != "file" else "a file's"
-        line = (f"data {self.kind} ({self.root}): hand {self.hand}, {which} labels ({self.labels.source.name}), "
+        line = (f"data {self.kind} ({self.root}): hand {self.hand}, {which} labels ({self.labels.path.name}), "
                 f"{len(self.labels.labels)} of {len(self.labels.objects)} objects; licence: {self.licence}")
         added = [f"{len(self.added)} of them added: {', '.join(self.added)}"] if self.added else []
-        return "; ".join([line, *added, *self.notes])
+        return "; ".join([line, *added, INERTIA[self.inertia], *self.notes])
 
 
 def resolve(config: Config) -> DataChoice:
@@ -112,15 +123,29 @@ def resolve(config: Config) -> DataChoice:
                         "a grasp fits only its own hand; choose data and labels that go together (--data, --labels, "
                         "hand=)")
     folders = _object_folders(config, root)
-    own = [name for name in config.labels.objects if is_added(name, folders)]
+    homes = {name: [folder for folder in folders if is_added(name, [folder])] for name in config.labels.objects}
+    own = {name: found[0] for name, found in homes.items() if found}
     chosen = select(labels, config.labels.objects, config.labels.limit_per_object, own)
     added = {name: find_object(name, folders) for name in chosen.objects if name not in YCB_NAMES.values()}
-    comparable = kind == "release" and labels.comparable_with_paper and hand_urdf == root / "hand" / _HAND_FILES[kind]
+    differences = []
+    if kind != "release" or hand_urdf != root / "hand" / _HAND_FILES[kind]:
+        differences.append(f"the hand is {hand}, not the paper's")
+    if not labels.comparable_with_paper:
+        differences.append(f"the labels ({path.name}) are not the paper's")
+    inertia = _inertia(config, kind, chosen.objects, added)
+    if inertia != "official":
+        which = "added" if inertia == "mixed" else "the"
+        differences.append(f"{which} objects have true inertia, not the authors' 1 kg m2")
     return DataChoice(
         root=root, kind=kind, hand_source=source_of_hand, hand_sha256=sha256_of(hand_urdf),
         objects_dir=root / "objects", labels=chosen, added=added,
-        licence=labels.licence, source=source, split=split, comparable_with_paper=comparable, notes=tuple(notes),
+        licence=labels.licence, source=source, split=split, inertia=inertia, differences=tuple(differences),
+        notes=tuple(notes),
     )
+
+
+def _inertia(config: Config, kind: Kind, objects: Sequence[str], added: Mapping[str, StoredObject]) -> Inertia:
+    return which_inertia(config.physics.official_inertia(kind == "release" and name not in added) for name in objects)
 
 
 def _object_folders(config: Config, root: Path) -> list[Path]:

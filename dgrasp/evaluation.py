@@ -9,6 +9,7 @@ from collections.abc import Mapping
 from dgrasp.build import build_spec
 from dgrasp.config.experiment import Config
 from dgrasp.data import DataChoice
+from dgrasp.eval.comparison import data_stamp
 from dgrasp.eval.evaluator import evaluate_labels
 from dgrasp.eval.meshes import build_bodies, build_interpenetration
 from dgrasp.eval.motion import check_moves, choose_targets, motion_result, run_motions
@@ -29,14 +30,16 @@ def evaluate_choice(
     bodies = build_bodies(choice, spec.objects)
     measure = build_interpenetration(choice, config, spec.hand, bodies) if config.eval.interpenetration else None
     spec = method.prepare(spec, lambda: _surfaces(bodies))
+    one_thread()
     records, cost, events = evaluate_labels(spec, method, _Progress())
     for event in events:
         print(f"warning: {event}", file=sys.stderr)
     window = config.eval.window_s
     rows = [label_row(r, window) if measure is None else label_row(r, window) | measure.measure(r) for r in records]
     result = summarise(
-        rows, method=method.name, engine=config.engine, window_s=window, seed=config.seed, data=choice.stamp(),
-        cost=cost, interpenetration=None if measure is None else measure.report(),
+        rows, method=method.name, engine=config.engine, window_s=window, seed=config.seed,
+        data=data_stamp(method, config, choice), cost=cost,
+        interpenetration=None if measure is None else measure.report(),
     )  # fmt: skip
     return result, records, spec
 
@@ -49,10 +52,18 @@ def evaluate_motion(
     targets = choose_targets(config, choice)
     chosen = build_spec(choice, config)
     spec = method.prepare(chosen, lambda: _surfaces(build_bodies(choice, chosen.objects)))
+    one_thread()
     motions = run_motions(spec, method, targets, _Progress())
     for event in motions.events:
         print(f"warning: {event}", file=sys.stderr)
     return motion_result(motions, method, config, choice, targets, spec.labels), motions.records, spec
+
+
+def one_thread() -> None:
+    """Give torch one thread; the workers use the other cores. Comes late, because torch takes seconds to import."""
+    import torch
+
+    torch.set_num_threads(1)
 
 
 def _surfaces(bodies: Mapping[str, ObjectBody]) -> dict[str, Body]:

@@ -11,12 +11,13 @@ from dgrasp.config.experiment import Config, find_config, make_config, read_valu
 from dgrasp.config.sections import SENSES
 from dgrasp.config.values import apply_overrides, override
 from dgrasp.data import DataChoice, resolve
-from dgrasp.errors import ConfigError, DataError
+from dgrasp.errors import ConfigError
 from dgrasp.eval.motion import usual_set
 from dgrasp.files.paths import data_root
 from dgrasp.methods import METHODS, PolicyMethod, method_of
 from dgrasp.methods.method import Method
 from dgrasp.rl.run.folder import PRETRAINED, PRETRAINED_FILE, WEIGHTS_SUFFIX, latest
+from dgrasp.rl.run.whole import check_policy_file
 
 if TYPE_CHECKING:
     from dgrasp.rl.run.policies import SavedPolicy
@@ -100,9 +101,8 @@ def make_request(asked: Asked) -> Request:
 
 
 def read_saved(path: Path) -> SavedPolicy:
-    """Read a saved policy. A missing file is refused before torch, which takes seconds to import, is loaded."""
-    if not path.is_file():
-        raise DataError(f"{path}: no such file; expected a checkpoint (.pt) or published weights ({WEIGHTS_SUFFIX})")
+    """Read a saved policy. Missing and damaged files are refused before torch, which takes seconds, is loaded."""
+    check_policy_file(path)
 
     from dgrasp.rl.run.policies import read_policy
 
@@ -132,11 +132,18 @@ def _base(asked: Asked, path: Path | None, saved: SavedPolicy | None) -> tuple[s
             raise ConfigError(f"{asked.run}: not a run directory (no config.yaml); expected one that train.py made")
     if cfg is None and path is not None and saved is not None and saved.config:
         # The engine with which a shared policy was trained may not be installed here.
+        values = shipped_values(saved) if asked.shipped else saved.config
         told = ("engine",) if path.suffix == WEIGHTS_SUFFIX else ()
-        return str(path), {key: value for key, value in saved.config.items() if key not in told}
+        return str(path), {key: value for key, value in values.items() if key not in told}
     cfg = cfg or find_config(Path("cfg/dexycb.yaml"))
     assert cfg is not None
     return str(cfg), read_values(cfg)
+
+
+def shipped_values(saved: SavedPolicy) -> dict[str, Any]:
+    """The config of the shipped policy. It was trained with the authors' inertia, but is tested with the data's own."""
+    physics = {key: value for key, value in saved.config.get("physics", {}).items() if key != "official_compat"}
+    return saved.config | {"physics": physics}
 
 
 def _check_senses(saved: SavedPolicy, config: Config, path: Path) -> None:

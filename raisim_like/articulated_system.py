@@ -18,7 +18,9 @@ Array = NDArray[Any]
 class ArticulatedSystem:
     """A fixed-base articulated system under PD control with feed-forward force.
 
-    Generalised coordinates (dof,): rad or m, in the depth-first joint order of the URDF.
+    Generalised coordinates (dof,): rad or m, in the depth-first joint order of the URDF. A joint that follows another
+    one (`model.ties`) has a coordinate too. It has no motor: its gains and its target have no effect, and its
+    coordinate and velocity are set to those that it must have.
     """
 
     def __init__(self, world: Owner, body: int, model: UrdfModel) -> None:
@@ -28,7 +30,7 @@ class ArticulatedSystem:
 
     @property
     def dof(self) -> int:
-        """Degrees of freedom."""
+        """Number of coordinates."""
         return self.model.dof
 
     @property
@@ -57,8 +59,10 @@ class ArticulatedSystem:
 
     def set_state(self, gc: Any, gv: Any | None = None) -> None:
         """Set coordinates and velocities (by default 0), (dof,) each, and reset the controller's memory."""
-        velocity = np.zeros(self.dof) if gv is None else gv
-        self._world.engine_world.set_joint_state(self.id, self._vector(gc, "gc"), self._vector(velocity, "gv"))
+        ties = self.model.ties
+        q = ties.coordinates(self._vector(gc, "gc"))
+        v = ties.velocities(self._vector(np.zeros(self.dof) if gv is None else gv, "gv"))
+        self._world.engine_world.set_joint_state(self.id, q, v)
 
     @property
     def generalized_coordinate(self) -> Array:
@@ -79,7 +83,9 @@ class ArticulatedSystem:
 
     def set_pd_gains(self, kp: Any, kd: Any) -> None:
         """Set the PD gains, (dof,) or scalars: N m/rad and N m s/rad (N/m and N s/m for prismatic joints)."""
-        self._world.engine_world.set_pd_gains(self.id, self._vector(kp, "kp"), self._vector(kd, "kd"))
+        gains = np.array([self._vector(kp, "kp"), self._vector(kd, "kd")])
+        gains[:, self.model.ties.followers] = 0.0
+        self._world.engine_world.set_pd_gains(self.id, *gains)
 
     def set_pd_target(self, target: Any) -> None:
         """Set the PD position target (dof,); the target velocity is zero."""
@@ -90,7 +96,7 @@ class ArticulatedSystem:
         self._world.engine_world.set_feed_forward(self.id, self._vector(force, "force"))
 
     def mass_matrix(self) -> Array:
-        """Mass matrix (dof, dof) as the engine simulates it."""
+        """Mass matrix (dof, dof) as the engine simulates it, as if no joint followed another."""
         return self._world.engine_world.mass_matrix(self.id)
 
     def frame_pose(self, frame: str) -> tuple[Array, Array]:

@@ -1,4 +1,4 @@
-"""Friction and restitution per pair of materials, as in RaiSim."""
+"""Friction per pair of materials, as in RaiSim. Contacts do not bounce."""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""The engines by name. To add one, implement `WorldBatch` in a file below `engines/` and add a line here."""
+"""The engines by name. To add one, implement `WorldBatch` in a file below `engines/` and add a line to `BATCHES`.
+
+An engine of single worlds implements `Engine` instead; a line in `engines.ENGINES` is then enough.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +10,7 @@ from functools import partial
 from typing import Protocol
 
 from raisim_like.batch import BatchState, WorldBatch, WorldSpec
-from raisim_like.engines import make_engine
+from raisim_like.engines import ENGINES, make_engine
 from raisim_like.errors import EngineError
 from raisim_like.loop import LoopBatch
 
@@ -24,10 +27,11 @@ def _loop(engine: str) -> BatchMaker:
 
 
 BATCHES: Mapping[str, Callable[[], BatchMaker]] = {
-    "pybullet": partial(_loop, "pybullet"),
-    "mujoco": partial(_loop, "mujoco"),
+    **{name: partial(_loop, name) for name in ENGINES},
 }
 """Name of an engine -> function that returns its maker, or raises `EngineError` if a package is not installed."""
+CONCAVE_MESHES = ("pybullet",)
+"""The engines that collide concave triangle meshes; the others take convex parts."""
 
 
 def find_engine(name: str) -> BatchMaker:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import xml.etree.ElementTree as ElementTree
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raisim_like.errors import UrdfError
+from raisim_like.mimic import Mimic, Ties, resolve_mimics
 from raisim_like.rotations import matrix_from_quaternion, quaternion_from_matrix, transform
 from raisim_like.shapes import Shape
 from raisim_like.urdf_gaps import fill_gaps
@@ -25,6 +27,7 @@ class UrdfLink:
     parent: index of the parent link, -1 for the base. kind: "revolute" or "prismatic".
     origin: (4, 4) joint frame in the parent link's frame. axis: (3,) unit, in the joint frame.
     mass kg, com (3,) m in the link frame, inertia (3, 3) kg m^2 about the com, axes of the link.
+    mimic: the joint that this one follows, if any.
     """
 
     name: str
@@ -40,11 +43,12 @@ class UrdfLink:
     com: Array
     inertia: Array
     shapes: tuple[Shape, ...]
+    mimic: Mimic | None = None
 
 
 @dataclass(frozen=True, eq=False)
 class UrdfModel:
-    """An articulated system: one moving link per degree of freedom, depth first in the file's order.
+    """An articulated system: one moving link per joint, depth first in the file's order.
 
     Models are compared by identity.
 
@@ -58,8 +62,13 @@ class UrdfModel:
 
     @property
     def dof(self) -> int:
-        """Number of degrees of freedom."""
+        """Number of joints. Those that follow others count too."""
         return len(self.links)
+
+    @cached_property
+    def ties(self) -> Ties:
+        """The joints that follow others."""
+        return Ties.of([link.mimic for link in self.links])
 
     @property
     def joint_names(self) -> tuple[str, ...]:
@@ -188,7 +197,8 @@ def read_urdf(path: Path | str) -> UrdfModel:
     """The moving links of a URDF file, in RaiSim's depth-first order.
 
     Fixed joints are collapsed: shapes and masses move to the nearest moving ancestor. A link with shapes and without
-    <inertial> gets the mass and inertia of its shapes, with a warning that names it. Raises `UrdfError`.
+    <inertial> gets the mass and inertia of its shapes, with a warning that names it. A joint with <mimic> follows
+    another one (`mimic`). Raises `UrdfError`.
     """
     reader = _Reader(Path(path))
     links: dict[str, ElementTree.Element] = {}
@@ -274,7 +284,8 @@ def read_urdf(path: Path | str) -> UrdfModel:
         raise reader.fail("robot", "links are nested too deeply") from None
     if len(frames) != len(links):
         raise reader.fail("robot", f"links not connected to {roots[0]!r}: {sorted(set(links) - set(frames))}")
-    fill_gaps(reader.path, reader.root, moving)
+    fill_gaps(reader.path, moving)
+    resolve_mimics(moving, reader.root.findall("joint"), reader.fail, reader.numbers)
     built = []
     for entry in moving:
         mass, com, inertia = _merge_inertias(entry.pop("inertials"))

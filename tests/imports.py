@@ -4,12 +4,19 @@ from __future__ import annotations
 
 import ast
 from collections.abc import Iterator, Mapping
+from functools import cache
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 
 
-def imported_names(source: str, module: str, is_package: bool = False) -> set[str]:
+@cache
+def tree(path: Path) -> ast.Module:
+    """The parsed source of a file."""
+    return ast.parse(path.read_text(encoding="utf-8"))
+
+
+def imported_names(source: str | ast.Module, module: str, is_package: bool = False) -> set[str]:
     """Full names of all that a module imports, at any depth of the code.
 
     module: the module's own dotted name, which relative imports start from. `from a import b` yields "a" and
@@ -17,7 +24,7 @@ def imported_names(source: str, module: str, is_package: bool = False) -> set[st
     """
     package = module.split(".") if is_package else module.split(".")[:-1]
     names = set()
-    for node in ast.walk(ast.parse(source)):
+    for node in ast.walk(ast.parse(source) if isinstance(source, str) else source):
         if isinstance(node, ast.Import):
             names |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom):
@@ -27,13 +34,19 @@ def imported_names(source: str, module: str, is_package: bool = False) -> set[st
     return names
 
 
+@cache
+def _imports(path: Path) -> set[str]:
+    """What a file of the checkout imports."""
+    relative = path.relative_to(ROOT)
+    is_package = path.name == "__init__.py"
+    parts = relative.parent.parts if is_package else relative.with_suffix("").parts
+    return imported_names(tree(path), ".".join(parts), is_package)
+
+
 def modules(folder: str) -> Iterator[tuple[str, set[str]]]:
     """Each module below a folder of the checkout, by its path from there, with what it imports."""
     for path in sorted((ROOT / folder).rglob("*.py")):
-        relative = path.relative_to(ROOT)
-        is_package = path.name == "__init__.py"
-        parts = relative.parent.parts if is_package else relative.with_suffix("").parts
-        yield relative.as_posix(), imported_names(path.read_text(encoding="utf-8"), ".".join(parts), is_package)
+        yield path.relative_to(ROOT).as_posix(), _imports(path)
 
 
 def imports_within(package: str) -> dict[str, set[str]]:

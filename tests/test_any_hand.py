@@ -30,9 +30,9 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with the hand and labels that the synthesiser makes for it."""
     folder = tmp_path_factory.mktemp("three")
     hand = open_hand(str(write_three_fingers(folder / "three.urdf"))).model
-    config = make_config({"engine": "mujoco", "eval": {"window_s": 0.2}})
-    rng = np.random.default_rng(1)
-    synthesised = Synthesiser(hand).make(free_object(OBJECT, "official", True), 2, rng, config, batch=10, iterations=30)
+    config = make_config({"engine": "mujoco", "eval": {"window_s": 0.1}})
+    rng = np.random.default_rng(3)
+    synthesised = Synthesiser(hand).make(free_object(OBJECT, "official", True), 2, rng, config, batch=36, iterations=30)
     write_native(folder / "three.npz", synthesised.labels, "made by a test", "MIT", hand.layout.names)
     return folder
 

@@ -6,7 +6,7 @@ import ast
 import re
 from collections.abc import Iterator
 
-from tests.imports import ROOT, modules, within
+from tests.imports import ROOT, modules, tree, within
 
 NUMBERS = {51, 48, 45, 63, 21, 16, 279}
 """Degrees of freedom, rotations, finger angles, key point coordinates, key points, parts, the published observation."""
@@ -34,9 +34,9 @@ HANDS_OF_MANO = {"dgrasp.hand.load", "dgrasp.hand.motions", "dgrasp.hand.surface
 """Modules of the hand that treat hands with MANO's joints and others side by side."""
 
 
-def numbers(source: str) -> Iterator[tuple[int, int]]:
+def numbers(source: ast.Module) -> Iterator[tuple[int, int]]:
     """(line, number) of each whole number of a module, those in docstrings' shapes such as (N, 51) included."""
-    for node in ast.walk(ast.parse(source)):
+    for node in ast.walk(source):
         if isinstance(node, ast.Constant) and type(node.value) is int and node.value in NUMBERS:
             yield node.lineno, node.value
         elif isinstance(node, ast.Constant) and isinstance(node.value, str):
@@ -49,14 +49,13 @@ def test_no_other_file_knows_how_many_joints_a_hand_has() -> None:
     for path, _ in modules("dgrasp"):
         if path.startswith(FORMATS) or path in OTHER_THINGS:
             continue
-        source = (ROOT / path).read_text(encoding="utf-8")
-        found += [f"{path}:{line}: {number}" for line, number in numbers(source)]
+        found += [f"{path}:{line}: {number}" for line, number in numbers(tree(ROOT / path))]
     assert found == []
 
 
 def test_the_exceptions_are_there_and_needed() -> None:
     for path in OTHER_THINGS:
-        assert list(numbers((ROOT / path).read_text(encoding="utf-8"))), f"{path} needs no exception"
+        assert list(numbers(tree(ROOT / path))), f"{path} needs no exception"
 
 
 def test_only_readers_of_manos_formats_name_its_joints() -> None:
@@ -69,6 +68,6 @@ def test_only_readers_of_manos_formats_name_its_joints() -> None:
 
 
 def test_numbers_are_found_in_code_and_in_docstrings() -> None:
-    assert list(numbers("a = 51\nb = 1.0\nc = 50")) == [(1, 51)]
-    assert list(numbers('"""gc (N, 51) and (T, 16, 3)."""')) == [(1, 51), (1, 16)]
-    assert list(numbers('"""page 51, (21 of them)"""')) == []
+    assert list(numbers(ast.parse("a = 51\nb = 1.0\nc = 50"))) == [(1, 51)]
+    assert list(numbers(ast.parse('"""gc (N, 51) and (T, 16, 3)."""'))) == [(1, 51), (1, 16)]
+    assert list(numbers(ast.parse('"""page 51, (21 of them)"""'))) == []

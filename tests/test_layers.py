@@ -7,22 +7,24 @@ from pathlib import PurePosixPath
 
 import pytest
 
-from tests.imports import circles, imported_names, imports_within, modules, within
+from tests.imports import ROOT, circles, imported_names, imports_within, modules, within
 
 ROOMS = {
     "dgrasp": [
-        "errors", "types", "files", "config", "geometry", "hand", "objects", "scene", "labels", "motion", "control",
-        "rl", "env", "pool", "methods", "data", "build", "eval", "synthesis", "view", "export", "report",
+        "version", "errors", "types", "files", "config", "geometry", "hand", "objects", "scene", "labels", "motion",
+        "control", "rl", "env", "pool", "methods", "data", "build", "eval", "synthesis", "view", "export", "report",
         "evaluation", "training", "request", "tables", "gym", "commands", "cli", "__main__",
     ],
     "raisim_like": [
-        "errors", "rotations", "shapes", "shape_inertia", "contact", "urdf_gaps", "urdf", "kinematics", "material",
-        "batch", "engines", "rigid_body", "articulated_system", "world", "loop", "registry",
+        "errors", "rotations", "shapes", "shape_inertia", "contact", "urdf_gaps", "mimic", "urdf", "kinematics",
+        "material", "batch", "engines", "rigid_body", "articulated_system", "world", "loop", "registry",
     ],
 }  # fmt: skip
 """The modules and folders of each package, lowest first: each imports itself and what stands before it."""
 MOST_FILES = 16
 """Python modules in one folder, besides its `__init__`."""
+MOST_LINES = 320
+"""Lines of one module."""
 
 
 def room(module: str) -> str:
@@ -61,6 +63,12 @@ def test_no_folder_is_crowded(package: str) -> None:
     assert {str(folder): n for folder, n in count.items() if n > MOST_FILES} == {}
 
 
+@pytest.mark.parametrize("package", ROOMS)
+def test_no_module_is_long(package: str) -> None:
+    lines = {path: len((ROOT / path).read_text(encoding="utf-8").splitlines()) for path, _ in modules(package)}
+    assert {path: n for path, n in lines.items() if n > MOST_LINES} == {}
+
+
 @pytest.mark.parametrize(
     ("graph", "expected"),
     [
@@ -79,6 +87,13 @@ def offenders(folder: str, *forbidden: str) -> list[str]:
     found = list(modules(folder))
     assert found, f"no modules below {folder}"
     return [f"{path} imports {name}" for path, names in found for name in sorted(names) if within(name, *forbidden)]
+
+
+def test_no_import_hides_behind_a_name() -> None:
+    """Only the command line imports by name; it stands above all that it names."""
+    sources = {path: (ROOT / path).read_text(encoding="utf-8") for package in ROOMS for path, _ in modules(package)}
+    by_name = ("import_module", "__import__", "from dgrasp import")
+    assert [path for path, source in sources.items() if any(word in source for word in by_name)] == ["dgrasp/cli.py"]
 
 
 @pytest.mark.parametrize("folder", ["dgrasp", "raisim_like"])

@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from dgrasp.errors import DataError
-from dgrasp.files.atomic import write_atomic
+from dgrasp.files.atomic import replaced_folder, write_atomic
 from dgrasp.files.outputs import check_outputs
 
 
@@ -99,3 +99,26 @@ def test_interrupted_write_keeps_the_old_file(tmp_path: Path, monkeypatch: pytes
     with pytest.raises(KeyboardInterrupt):
         write_atomic(path, b"new")
     assert [p.name for p in tmp_path.iterdir()] == ["file"] and path.read_bytes() == b"old"
+
+
+def test_a_folder_is_replaced_with_all_its_files(tmp_path: Path) -> None:
+    for content in ("old", "new"):
+        with replaced_folder(tmp_path / "a" / "b") as fresh:
+            (fresh / f"{content}.txt").write_text(content)
+    assert [p.name for p in (tmp_path / "a").rglob("*")] == ["b", "new.txt"]
+    assert stat.S_IMODE((tmp_path / "a" / "b").stat().st_mode) == 0o755
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt, DataError, OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))])
+def test_a_folder_that_is_not_finished_keeps_the_old_one(tmp_path: Path, error: Any) -> None:
+    with replaced_folder(tmp_path / "a") as fresh:
+        (fresh / "old.txt").write_text("old")
+    with (
+        pytest.raises(DataError if isinstance(error, OSError) else error) as caught,
+        replaced_folder(tmp_path / "a") as fresh,
+    ):
+        (fresh / "new.txt").write_text("new")
+        raise error
+    assert [p.name for p in tmp_path.rglob("*")] == ["a", "old.txt"]
+    if isinstance(error, OSError):
+        assert str(caught.value) == f"{tmp_path / 'a'}: cannot be written (No space left on device)"

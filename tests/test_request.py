@@ -79,6 +79,10 @@ def test_the_policy_that_ships_is_a_run_of_a_name(tmp_path: Path, monkeypatch: p
     request = make_request(Asked(run=Path(PRETRAINED), overrides=SHORT))
     # The engine is not the one that it was trained on but this program's.
     assert request.config.engine == default_engine() and request.config.env.scaled_features
+    # It was trained with the authors' inertia, which the free set does not have.
+    assert request.config.physics.official_compat is None and request.choice.inertia == "true"
+    named = make_request(Asked(run=Path(PRETRAINED), overrides=[*SHORT, "physics.official_compat=true"]))
+    assert named.choice.inertia == "official"
     # A folder of that name is a run like any other.
     (tmp_path / PRETRAINED).mkdir()
     with pytest.raises(DataError, match="no checkpoint there"):

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 from rich.console import Console
 from rich.table import Table
 
-from dgrasp.commands.test import one_thread, write_gif
+from dgrasp.commands.test import write_gif
 from dgrasp.config.experiment import Config, load_config, make_config
 from dgrasp.errors import ConfigError
 from dgrasp.files.paths import data_root, package_file
@@ -59,6 +59,8 @@ def main(arguments: argparse.Namespace) -> int:
         raise ConfigError(f"{arguments.run} exists already; choose another --run")
 
     from dgrasp.data import resolve
+    from dgrasp.eval import output
+    from dgrasp.evaluation import one_thread
     from dgrasp.rl.run.policies import read_policy
     from dgrasp.rl.run.record import read_run
     from dgrasp.training import next_run, start_run, train
@@ -76,9 +78,9 @@ def main(arguments: argparse.Namespace) -> int:
     print(f"\ntraining a policy from scratch on {len(choice.labels.labels)} labels of {_OBJECT} ...", flush=True)
     train(run_dir, config, choice)
     trained = read_run(run_dir)
+    print("\n" + output.notices(results["gt_pd"])[0])
     _print(results)
-    print("own hand and labels: not comparable with the paper\n\n"
-          f"trained from scratch on {_OBJECT}: {trained.number('control_steps'):,.0f} control steps, success "
+    print(f"\ntrained from scratch on {_OBJECT}: {trained.number('control_steps'):,.0f} control steps, success "
           f"{trained.number('success'):.2f}; longer training runs: docs/results.md")
     _print_next(run_dir, saved is not None)
     return 0
@@ -90,7 +92,7 @@ def _test(saved: SavedPolicy | None, run_dir: Path, words: list[str]) -> dict[st
     from dgrasp.eval import output
     from dgrasp.evaluation import evaluate_choice
     from dgrasp.export.collect import display_meshes
-    from dgrasp.methods import PdBaseline, PolicyMethod
+    from dgrasp.methods import PdBaseline, method_of
     from dgrasp.report.page import write_report
 
     config = _config_of(saved, [*_TEST, *words])
@@ -98,7 +100,7 @@ def _test(saved: SavedPolicy | None, run_dir: Path, words: list[str]) -> dict[st
     print(f"\ntesting on {len(choice.labels.labels)} labels that no policy was trained on", flush=True)
     methods: list[Method] = [PdBaseline()]
     if saved is not None:
-        methods.append(PolicyMethod(saved.policy))
+        methods.append(method_of(saved))
     for method in methods:
         print(f"testing {method.name} ...", flush=True)
         result, records, spec = evaluate_choice(method, config, choice)
@@ -117,14 +119,14 @@ def _carry(saved: SavedPolicy, run_dir: Path, words: list[str]) -> None:
     from dgrasp.eval.paper import MOTION_OBJECTS
     from dgrasp.evaluation import evaluate_motion
     from dgrasp.export.collect import display_meshes
-    from dgrasp.methods import PolicyMethod
+    from dgrasp.methods import method_of
     from dgrasp.report.page import write_report
 
     objects = f"labels.objects=[{', '.join(MOTION_OBJECTS)}]"
     config = _config_of(saved, [*_TEST, objects, *_MOTION, *words])
     choice = resolve(config)
     print("carrying six objects to target poses ...", flush=True)
-    result, records, spec = evaluate_motion(PolicyMethod(saved.policy), config, choice)
+    result, records, spec = evaluate_motion(method_of(saved), config, choice)
     output.write_json(result, run_dir / "motion.json")
     write_report(run_dir / "motion.html", result, records, display_meshes(choice, spec))
     means = result.mean_over_labels
@@ -133,7 +135,9 @@ def _carry(saved: SavedPolicy, run_dir: Path, words: list[str]) -> None:
 
 
 def _config_of(saved: SavedPolicy | None, words: list[str]) -> Config:
-    return make_config(saved.config if saved is not None else {}, str(PRETRAINED_FILE), words)
+    from dgrasp.request import shipped_values
+
+    return make_config({} if saved is None else shipped_values(saved), str(PRETRAINED_FILE), words)
 
 
 def _print(results: dict[str, Result]) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -35,6 +36,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--format", choices=FORMATS, help="what to write (default: from the suffix of --out)")
     parser.add_argument("--out", type=Path, required=True, metavar="FILE|DIR",
                         help="a new file, or a folder if the source is one")
+    parser.add_argument("--shapes", action="store_true",
+                        help="glb, gif, mp4: draw the collision shapes in place of the surfaces")
     parser.add_argument("--mano", type=Path, metavar="FILE",
                         help="the MANO file that the hand was made from; adds MANO's translation to npz")
 
@@ -49,13 +52,17 @@ def main(arguments: argparse.Namespace) -> int:
         raise ConfigError(f"--out {arguments.out}: no format in its name; expected --format {'|'.join(FORMATS)}")
     if arguments.mano is not None and kind != "npz":
         raise ConfigError(f"--mano adds MANO's translation to npz; {kind} cannot hold it; leave out --mano")
+    if arguments.shapes and kind == "npz":
+        raise ConfigError("--shapes is for glb, gif and mp4; npz has no meshes to draw; leave out --shapes")
     many = arguments.source.is_dir()
     targets = [arguments.out / f"{file.stem}.{kind}" if many else arguments.out for file in files]
     there = [target for target in targets if target.exists()]
     if there:
         raise ConfigError(f"{there[0]} exists already; choose another --out")
     for file, target in zip(files, targets, strict=True):
-        sequence = read_sequence(file)
+        sequence = read_sequence(file, arguments.shapes)
+        if arguments.shapes:
+            sequence = replace(sequence, meshes=sequence.meshes.colliding())
         _write(kind, target, sequence, arguments.mano)
         print(f"wrote {target}{_said(kind, sequence, arguments.mano)}", flush=True)
     return 0

@@ -59,7 +59,7 @@ def main(arguments: argparse.Namespace) -> int:
     limits, origin = free_limits() if arguments.free else None, "table"
     if arguments.limits != "table":
         labels = load_labels(Path(arguments.limits))
-        limits, origin = label_limits(labels.labels), f"range of {labels.source.name} ({labels.sha256[:12]})"
+        limits, origin = label_limits(labels.labels), f"range of {labels.path.name} ({labels.sha256[:12]})"
     provenance = Provenance(f"{family}_{side}", file.name, sha256_of(file), origin, licence)
     identity = build_hand(model, betas, limits, arguments.shapes, provenance, arguments.out, mirror=side != model.side)
     print_report([open_hand(str(arguments.out))])

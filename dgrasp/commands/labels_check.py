@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from rich.console import Console
 from rich.table import Table
 
-from dgrasp.errors import DataError
+from dgrasp.errors import ConfigError, DataError
 
 if TYPE_CHECKING:
     from dgrasp.labels.quality.measure import Finding
@@ -34,8 +34,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                         help="the data with the objects and the hand (default: as for training)")
     parser.add_argument("--hand", metavar="HAND", help="the hand, if it is not the hand of the data")
     parser.add_argument("--mano", metavar="FILE", help="the hand's MANO file; measures on MANO's skin")
+    parser.add_argument("--store", metavar="DIR", help="folder of added objects (default: data/objects)")
     parser.add_argument("--html", nargs="?", const="", metavar="PAGE",
                         help="write a page with a picture of each label, worst first (default: FILE with .html)")
+    parser.add_argument("--shapes", action="store_true",
+                        help="with --html: draw the collision shapes in place of the surfaces")
 
 
 def main(arguments: argparse.Namespace) -> int:
@@ -53,8 +56,10 @@ def main(arguments: argparse.Namespace) -> int:
     page = None if arguments.html is None else Path(arguments.html or arguments.file.with_suffix(".html"))
     if page is not None and not page.parent.is_dir():
         raise DataError(f"{page}: the folder {page.parent} does not exist")
+    if arguments.shapes and page is None:
+        raise ConfigError("--shapes: only valid with --html; add --html, or leave out --shapes")
     config = make_config({"data": arguments.data, "hand": arguments.hand, "labels": {"source": str(arguments.file)},
-                          "eval": {"mano": arguments.mano}}, "labels check")
+                          "eval": {"mano": arguments.mano}, "objects": arguments.store}, "labels check")
     choice = resolve(config)
     print(choice.describe(), flush=True)
     hand, objects = build_hand(choice), build_objects(choice, config)
@@ -75,7 +80,9 @@ def main(arguments: argparse.Namespace) -> int:
         from dgrasp.files.atomic import write_atomic
         from dgrasp.view.label_page import label_page, label_pictures
 
-        pictures = label_pictures(standing(choice.labels.labels, objects), hand, objects)
+        pictures = label_pictures(standing(choice.labels.labels, objects), hand, objects, arguments.shapes)
+        if arguments.shapes:
+            lines.append(f"the pictures show the collision shapes of {config.engine}")
         write_atomic(page, label_page(f"Labels of {arguments.file.name}", [choice.describe(), *lines], findings,
                                       pictures))
         print(f"wrote {page}")

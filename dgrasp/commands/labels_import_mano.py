@@ -38,7 +38,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     for question, meaning in meanings.items():
         parser.add_argument(f"--{question}", choices=MANO_CONVENTIONS[question], help=meaning)
     parser.add_argument("--from", dest="origin", choices=MANO_SOURCES,
-                        help="who wrote the file: answers these questions, and reads its own form and names")
+                        help="the data set or estimator that wrote the file; answers the questions above and reads its "
+                             "names")
     parser.add_argument("--rotation6d", choices=("columns", "rows"), default="columns",
                         help="what 6D rotations hold: a matrix's first two columns (default) or its first two rows")
     parser.add_argument("--scale", type=float, metavar="S",
@@ -91,7 +92,8 @@ def main(arguments: argparse.Namespace) -> int:
         name, pose = table.objects[row], grasps.hand_pose[row]
         contacts = maker.contacts(maker.model, grasps.betas[row], T_OH, pose, name)
         if not contacts.any():
-            skipped[f"row {row}"] = ("hand does not touch the object", name)
+            away = np.linalg.norm(T_OH[:3, 3])
+            skipped[f"row {row}"] = ("hand does not touch the object", f"{name}, wrist {away:.2g} m from its origin")
             continue
         # Without a table the world is the object's frame, as for the labels that the authors published.
         T_WO, T_WH = np.eye(4), T_OH

@@ -15,20 +15,22 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from dgrasp import __version__
 from dgrasp.config.experiment import Config, make_config
+from dgrasp.config.sections import INERTIA, which_inertia
 from dgrasp.errors import ConfigError, DataError
 from dgrasp.files import licences
 from dgrasp.objects.names import LARGE_CLAMP, YCB_NAMES, resolve_object
 from dgrasp.objects.store import default_store, find_object, load_object
 from dgrasp.types import GraspLabel
+from dgrasp.version import __version__
 from raisim_like.engines import default_engine
 from raisim_like.errors import EngineError
-from raisim_like.registry import BATCHES, find_engine
+from raisim_like.registry import BATCHES, CONCAVE_MESHES, find_engine
 
 if TYPE_CHECKING:
     from dgrasp.hand.store import NamedHand
     from dgrasp.objects.model import ObjectModel
+    from dgrasp.objects.store import StoredObject
 
 HELP = """\
 Make static grasp labels for a hand and objects by gradient descent (contact, force closure, penetration, joint limits,
@@ -77,8 +79,8 @@ class _Task:
 
 def main(arguments: argparse.Namespace) -> int:
     """Make and write the labels; returns the exit code."""
-    from dgrasp.labels.recorded.common import progress
     from dgrasp.pool import cores
+    from dgrasp.synthesis.progress import MakingProgress
 
     tasks, hand = _tasks(arguments)
     files = _files(arguments, len(tasks))
@@ -87,26 +89,41 @@ def main(arguments: argparse.Namespace) -> int:
     workers = min(arguments.workers or cores(), len(tasks))
     parts = arguments.out.with_suffix(".parts")
     todo = [task for task in tasks if not (parts / task.file).is_file()]
-    missing = {task.file for task in todo}
     if len(todo) < len(tasks):
         print(f"{parts}: {len(tasks) - len(todo)} objects are there from an interrupted run", flush=True)
-    with ProcessPoolExecutor(workers, multiprocessing.get_context("spawn"), _one_thread) as pool:
-        results = iter(pool.map(_make, todo))
-        for task in progress(tasks, "making labels"):
-            labels, row = _kept(parts / task.file, hand, next(results) if task.file in missing else None)
-            made.append(labels)
-            figures[task.model.name] = row
-            print(f"{task.model.name}: {len(labels)} labels, {row['held']} hold under gt_pd ({row['found_held']:.2f} "
-                  f"before the selection, {row['best_quarter_held']:.2f} of the best quarter); penetration "
-                  f"{row['penetration_cm3']:.2f} cm3, {row['touching']:.1f} parts touch, {row['contacts']:.1f} goal "
-                  f"contacts, joints {row['diversity_deg']:.0f} deg apart; {row['cpu_s']:.0f} s of CPU", flush=True)
+    context = multiprocessing.get_context("spawn")
+    # Each process writes the shares of its own objects, so there is no need for a lock.
+    shares = context.RawArray("d", len(todo))
+    shown = MakingProgress([task.model.name for task in todo], shares)
+    with ProcessPoolExecutor(workers, context, _begin, (shares,)) as pool:
+        try:
+            running = {task.file: pool.submit(_make, task, i) for i, task in enumerate(todo)}
+            for task in tasks:
+                result = shown.result(running[task.file]) if task.file in running else None
+                labels, row = _kept(parts / task.file, hand, result)
+                made.append(labels)
+                figures[task.model.name] = row
+                print(_line(task.model.name, len(labels), row), flush=True)
+        finally:
+            shown.close()
+            # After an error, objects that no process has begun are dropped.
+            pool.shutdown(wait=False, cancel_futures=True)
     held = sum(row["held"] for row in figures.values()) / sum(map(len, made))
     best = float(np.mean([row["best_quarter_held"] for row in figures.values()]))
+    inertia = which_inertia(np.array_equal(task.model.inertia, np.eye(3)) for task in tasks)
     print(f"{sum(map(len, made))} labels in {time.monotonic() - begin:.0f} s; gt_pd holds {held:.2f} of them, "
-          f"{best:.2f} of each object's best quarter by geometry")
-    _write(files, made, arguments, hand, figures)
+          f"{best:.2f} of each object's best quarter by geometry; {INERTIA[inertia]}")
+    _write(files, made, arguments, hand, figures, inertia)
     shutil.rmtree(parts)
     return 0
+
+
+def _line(name: str, count: int, row: dict[str, Any]) -> str:
+    """One line about an object's labels."""
+    return (f"{name}: {count} labels, {row['held']} hold under gt_pd ({row['found_held']:.2f} before the selection, "
+            f"{row['best_quarter_held']:.2f} of the best quarter); penetration {row['penetration_cm3']:.2f} cm3, "
+            f"{row['touching']:.1f} parts touch, {row['contacts']:.1f} goal contacts, joints "
+            f"{row['diversity_deg']:.0f} deg apart; {row['cpu_s']:.0f} s of CPU")
 
 
 def _tasks(arguments: argparse.Namespace) -> tuple[list[_Task], NamedHand]:
@@ -119,17 +136,17 @@ def _tasks(arguments: argparse.Namespace) -> tuple[list[_Task], NamedHand]:
     if arguments.seed < 0 or (arguments.workers is not None and arguments.workers < 1):
         raise ConfigError(f"--seed {arguments.seed} --workers {arguments.workers}: expected a seed of at least 0, and "
                           "at least one process")
+    wanted = list(YCB_NAMES.values()) if arguments.objects == ["all"] else list(dict.fromkeys(arguments.objects))
+    found = [_find(name, arguments.store) for name in wanted]
     config = make_config({"engine": arguments.engine}, "labels make")
-    _require_engine(arguments.engine)
 
     from dgrasp.hand.store import open_hand
 
     data = None if arguments.data == "free" else Path(os.path.expanduser(arguments.data))
     name = arguments.hand or ("free" if data is None else str(data / "hand" / "mano_mean.urdf"))
     hand = open_hand(name)
-    wanted = list(YCB_NAMES.values()) if arguments.objects == ["all"] else list(dict.fromkeys(arguments.objects))
-    models = list({model.name: model for model in (_object(entry, data, arguments.store, config) for entry in wanted)
-                   }.values())  # fmt: skip
+    _require_engine(arguments.engine)
+    models = list({model.name: model for model in (_object(entry, data, config) for entry in found)}.values())
     same = [hand.model.id, __version__, arguments.number, arguments.seed, arguments.engine]
     return [
         _Task(name, model, arguments.number, arguments.seed, config, _part_name(model, same)) for model in models
@@ -163,25 +180,32 @@ def _require_engine(name: str) -> None:
         raise ConfigError(f"--engine: {error}") from None
 
 
-def _object(name: str, data: Path | None, store: Path | None, config: Config) -> ObjectModel:
-    """The added object of that name if there is one, else one of the 20."""
-    from dgrasp.objects.free import free_object
-    from dgrasp.objects.release import release_object
-
-    physics, parts = config.physics, config.engine == "mujoco"
+def _find(name: str, store: Path | None) -> StoredObject | str:
+    """The added object of that name if there is one, else the full name of one of the 20."""
     folder = store or default_store()
     if (folder / name).is_dir():
-        return load_object(find_object(name, [folder]).folder, physics.official_compat, parts)
+        return find_object(name, [folder])
     try:
-        full = resolve_object(name)
+        return resolve_object(name)
     except DataError:
         if name == LARGE_CLAMP:
             raise
-        return load_object(find_object(name, [folder]).folder, physics.official_compat, parts)
+        return find_object(name, [folder])
+
+
+def _object(found: StoredObject | str, data: Path | None, config: Config) -> ObjectModel:
+    """The model of an added object, or of one of the 20."""
+    from dgrasp.objects.free import free_object
+    from dgrasp.objects.release import release_object
+
+    physics, parts = config.physics, config.engine not in CONCAVE_MESHES
+    official = physics.official_inertia(False)
+    if not isinstance(found, str):
+        return load_object(found.folder, official, parts)
     if data is None:
-        return free_object(full, physics.masses, physics.official_compat)
+        return free_object(found, physics.masses, official)
     concave = "parts" if parts else physics.concave
-    return release_object(data / "objects", full, physics.masses, physics.official_compat, concave)
+    return release_object(data / "objects", found, physics.masses, physics.official_inertia(True), concave)
 
 
 def _files(arguments: argparse.Namespace, objects: int) -> list[Path]:
@@ -195,14 +219,21 @@ def _files(arguments: argparse.Namespace, objects: int) -> list[Path]:
     return [out.with_name(f"{out.stem}_{split}.npz") for split in ("train", "test")]
 
 
-def _one_thread() -> None:
+_shares: Any = None
+"""In a process of the pool: the share of each object that is done."""
+
+
+def _begin(shares: Any) -> None:
+    """Prepare a process of the pool."""
     import torch
 
+    global _shares
+    _shares = shares
     torch.set_num_threads(1)
 
 
-def _make(task: _Task) -> tuple[list[GraspLabel], dict[str, Any]]:
-    """Synthesise the labels of one object; returns them and their figures."""
+def _make(task: _Task, index: int) -> tuple[list[GraspLabel], dict[str, Any]]:
+    """Synthesise the labels of one object; returns them and their figures. index: of its share."""
     from dgrasp.hand.store import open_hand
     from dgrasp.synthesis.report import figures
     from dgrasp.synthesis.synthesiser import Synthesiser
@@ -211,13 +242,18 @@ def _make(task: _Task) -> tuple[list[GraspLabel], dict[str, Any]]:
     named = open_hand(task.hand)
     digest = int.from_bytes(hashlib.sha256(task.model.name.encode()).digest()[:4], "big")
     rng = np.random.default_rng([task.seed, digest])
-    made = Synthesiser(named.model).make(task.model, task.count, rng, task.config)
+
+    def report(share: float) -> None:
+        _shares[index] = share
+
+    made = Synthesiser(named.model).make(task.model, task.count, rng, task.config, report=report)
     row = figures(made, named, task.model)
+    report(1.0)
     return made.labels, {**row, "cpu_s": round(time.process_time() - begin, 1)}
 
 
 def _write(files: list[Path], made: list[list[GraspLabel]], arguments: argparse.Namespace, hand: NamedHand,
-           figures: dict[str, dict[str, Any]]) -> None:
+           figures: dict[str, dict[str, Any]], inertia: str) -> None:
     from dgrasp.labels.formats.native import write_native
     from dgrasp.labels.recorded.making import numbered, split
 
@@ -229,7 +265,7 @@ def _write(files: list[Path], made: list[list[GraspLabel]], arguments: argparse.
     licence = licences.PROJECT if free else licences.OF_ITS_ORIGINS
     figures = {name: {key: value for key, value in row.items() if key != "cpu_s"} for name, row in figures.items()}
     provenance = {"made_by": "dgrasp labels make", "seed": arguments.seed, "engine": arguments.engine,
-                  "per_object": figures}
+                  "inertia": inertia, "per_object": figures}
     for path, part in zip(files, parts, strict=True):
         write_native(path, part, provenance, licence, hand.model.layout.names)
         print(f"wrote {path}: {len(part)} labels, {path.stat().st_size} bytes; licence: {licence}")

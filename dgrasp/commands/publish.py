@@ -10,6 +10,7 @@ from dgrasp.errors import DataError
 from dgrasp.files.typed import typed
 from dgrasp.rl.run.folder import BEST, latest
 from dgrasp.rl.run.folder import WEIGHTS_SUFFIX as SUFFIX
+from dgrasp.rl.run.whole import read_whole
 
 if TYPE_CHECKING:
     from dgrasp.rl.run.checkpoint import Checkpoint
@@ -29,7 +30,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `publish`."""
     parser.add_argument("source", type=Path, metavar="RUN|FILE.pt", help="a run directory, or a checkpoint")
     parser.add_argument("--out", type=Path, required=True, metavar=f"FILE{SUFFIX}", help="the file to write")
-    parser.add_argument("--last", action="store_true", help="of a run the last checkpoint, in place of the best")
+    parser.add_argument("--last", action="store_true", help="take the last checkpoint of the run in place of the best")
 
 
 def main(arguments: argparse.Namespace) -> int:
@@ -43,6 +44,7 @@ def main(arguments: argparse.Namespace) -> int:
         raise DataError(f"--last: {source} is a checkpoint; expected a run directory, or no --last")
     if not source.is_dir() and not source.is_file():
         raise DataError(f"{source}: no such file; expected a run directory, or a checkpoint (.pt)")
+    read_whole(source if source.is_file() else latest(source), "a checkpoint of this project")
 
     from dgrasp.rl.run.checkpoint import load
     from dgrasp.rl.run.weights import write_weights
@@ -57,7 +59,7 @@ def main(arguments: argparse.Namespace) -> int:
 
 
 def _of_run(run_dir: Path, last: bool) -> tuple[Path, Checkpoint]:
-    """The best checkpoint of a run or its last one; says so where they differ. Epoch 0, before training, is neither."""
+    """The best checkpoint of a run or its last one; says so if they differ. Epoch 0 is never taken."""
     from dgrasp.rl.run.checkpoint import load
 
     newest, best = latest(run_dir), run_dir / BEST

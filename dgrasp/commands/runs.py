@@ -9,6 +9,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from dgrasp.config.sections import INERTIA
 from dgrasp.config.values import flat_keys
 from dgrasp.errors import ConfigError
 from dgrasp.rl.run.record import Run, read_run
@@ -75,7 +76,9 @@ def _cost(run: Run) -> list[str]:
 
 
 def _data(run: Run) -> str:
-    return f"{run.data.get('kind', '?')} {run.data.get('split', '')}".strip()
+    told = f"{run.data.get('kind', '?')} {run.data.get('split', '')}".strip()
+    inertia = INERTIA.get(run.data.get("inertia", ""))
+    return f"{told}, {inertia}" if inertia else told
 
 
 def _objects(run: Run) -> str:

@@ -11,13 +11,14 @@ from dgrasp.errors import ConfigError, DataError
 
 RUNS = Path("runs/tables")
 """Default of --runs: the folder of runs and results."""
-_NOT_OF_TABLES = ("baseline", "run", "motion", "split", "labels", "objects", "json", "report", "records", "gif")
+_NOT_OF_TABLES = ("baseline", "run", "motion", "split", "labels", "objects", "json", "report", "records", "gif",
+                  "shapes")
 """Options of test.py that choose what a single evaluation covers or where its output goes; --table refuses them."""
 
 
 def main(arguments: argparse.Namespace) -> int:
     """Fill, print and write the tables that `arguments.table` names."""
-    refused = [f"--{name}" for name in _NOT_OF_TABLES if getattr(arguments, name) is not None]
+    refused = [f"--{name}" for name in _NOT_OF_TABLES if getattr(arguments, name) not in (None, False)]
     if refused:
         raise ConfigError("--table takes methods, labels and targets from the paper and writes NAME.md, NAME.csv and "
                           f"NAME.json to --runs; leave out {', '.join(refused)} (--policy FILE replaces the policy of "

@@ -80,6 +80,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--records", type=Path, metavar="DIR", help="store every sequence in a new folder, for `dgrasp "
                         "export`")
     parser.add_argument("--gif", type=Path, metavar="FILE", help="write a GIF of some of the grasps")
+    parser.add_argument("--shapes", action="store_true", help="with --gif or --report: draw the collision shapes in "
+                        "place of the surfaces")
     parser.add_argument("overrides", nargs="*", metavar="key=value", help="config keys, such as seed=3 pool.workers=2")
 
 
@@ -111,6 +113,8 @@ def main(arguments: argparse.Namespace) -> int:
     if arguments.json is not None and arguments.json.suffix.lower() in BESIDE_JSON:
         raise ConfigError(f"--json {arguments.json}: a table with this suffix is written beside the JSON; expected a "
                           f"name such as {arguments.json.with_suffix('.json')}")
+    if arguments.shapes and arguments.gif is None and arguments.report is None:
+        raise ConfigError("--shapes: only valid with --gif or --report; add one of them, or leave out --shapes")
     _check_outputs(arguments)
 
     from dgrasp.evaluation import evaluate_choice, evaluate_motion
@@ -122,7 +126,6 @@ def main(arguments: argparse.Namespace) -> int:
     request = make_request(asked_by(arguments))
     config, choice = request.config, request.choice
     print(choice.describe(), flush=True)
-    one_thread()
     evaluation = evaluate_choice if config.motion.targets is None else evaluate_motion
     result, records, spec = evaluation(request.method, config, choice)
     _write(arguments, request, result, records, spec)
@@ -161,21 +164,15 @@ def _write(
             if arguments.records is not None:
                 write_folder(arguments.records, sequences(result, records, spec, choice, meshes))
             if arguments.report is not None:
-                write_report(arguments.report, result, records, meshes, extra)
+                write_report(arguments.report, result, records, meshes, extra, arguments.shapes)
             if arguments.gif is not None:
-                write_gif(arguments.gif, records, meshes)
+                drawn = {name: of.colliding() for name, of in meshes.items()} if arguments.shapes else meshes
+                write_gif(arguments.gif, records, drawn)
     finally:
         # The table comes last: `| head` closes the pipe early, and the files must be complete by then. It is printed
         # even if writing a file failed.
         output.print_table(result)
         print("\n".join(lines), end="\n" if lines else "")
-
-
-def one_thread() -> None:
-    """Give torch one thread; the workers use the other cores."""
-    import torch
-
-    torch.set_num_threads(1)
 
 
 def asked_by(arguments: argparse.Namespace) -> Asked:
@@ -226,4 +223,4 @@ def write_gif(
         raise DataError(f"{path}: no episode lasted a single step, so there is nothing to show in a GIF")
     chosen = [there[i * len(there) // min(count, len(there))] for i in range(min(count, len(there)))]
     clips = [list(record_pictures(r, meshes[r.label.object_id], every=5, size=(320, 240))) for r in chosen]
-    write_atomic(path, gif_bytes(tile(clips, columns=3), 5 * chosen[0].dt))
+    write_atomic(path, gif_bytes(tile(clips, columns=min(len(clips), 3)), 5 * chosen[0].dt))

@@ -26,7 +26,7 @@ examples:
 
 
 _STEPS_PER_CORE = {"pybullet": 250, "mujoco": 1000}
-"""Control steps per second and core, within a factor of three (docs/speed.md)."""
+"""Control steps per second and core, within a factor of three (docs/speed.md). Other engines count as 1000."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -69,7 +69,7 @@ def _no_config(config: Config) -> ConfigError:
     epochs = config.last_epoch(labels)
     steps = sum(config.steps_in(epoch, labels) for epoch in range(1, epochs + 1))
     workers = 1 if config.pool.kind == "serial" else config.pool.workers or cores()
-    hours = steps / (_STEPS_PER_CORE[config.engine] * workers) / 3600.0
+    hours = steps / (_STEPS_PER_CORE.get(config.engine, 1000) * workers) / 3600.0
     if config.ppo.max_minutes is not None:
         hours = min(hours, config.ppo.max_minutes / 60.0)
     took = (f"about {hours / 24:,.0f} days" if hours >= 2 * 24

@@ -18,6 +18,7 @@ rotated and scrubbed.
 examples:
   dgrasp test --run pretrained --records sequences
   dgrasp view sequences                                      writes sequences/view.html and opens it
+  dgrasp view sequences --shapes                             begins with the collision shapes
   dgrasp view sequences/004_sugar_box_0003.npz --out box.html --no-browser
 """
 MOST = 40
@@ -29,6 +30,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("source", type=Path, metavar="FILE|DIR", help="a stored sequence, or a folder of them")
     parser.add_argument("--out", type=Path, metavar="FILE.html",
                         help="the page to write (default: view.html beside the sequences)")
+    parser.add_argument("--shapes", action="store_true",
+                        help="begin with the collision shapes in place of the surfaces; the page can switch")
     parser.add_argument("--no-browser", action="store_true", help="write the page without opening it")
 
 
@@ -46,7 +49,7 @@ def main(arguments: argparse.Namespace) -> int:
     if len(files) > MOST:
         print(f"{len(files)} sequences: the page shows 1 of every {-(-len(files) // MOST)}")
         files = files[:: -(-len(files) // MOST)]
-    sequences = [read_sequence(file) for file in files]
+    sequences = [read_sequence(file, arguments.shapes) for file in files]
     rows = [{"object": s.record.label.object_id, "index": s.record.label.index, **s.about["row"]} for s in sequences]
     shown = [("sequences", s.record, row) for s, row in zip(sequences, rows, strict=True)]
     data = replay.pack(shown, {s.record.label.object_id: s.meshes for s in sequences})
@@ -54,7 +57,7 @@ def main(arguments: argparse.Namespace) -> int:
     first = sequences[0].about
     head = (f'<header><p class="over">D-Grasp sequences</p><h1>{escape(name)} <span>{escape(first["method"])} on '
             f'{escape(first["engine"])}</span></h1></header>\n')
-    write_atomic(out, document(name, [head, replays_section(shown)], data))
+    write_atomic(out, document(name, [head, replays_section(shown, arguments.shapes)], data))
     print(f"wrote {out}")
     if not arguments.no_browser and not webbrowser.open(out.absolute().as_uri()):
         print("no browser found; open the page on a machine that has one")

@@ -29,7 +29,7 @@ from dgrasp.config.values import apply_overrides, parse_yaml
 from dgrasp.errors import ConfigError
 from dgrasp.files.paths import cfg_root
 from raisim_like.engines import default_engine
-from raisim_like.registry import BATCHES
+from raisim_like.registry import BATCHES, CONCAVE_MESHES
 
 
 def _known_engine(name: str) -> str:
@@ -110,9 +110,9 @@ class Config(Section):
             raise ValueError("env.hold: expected first_step <= last_step < env.episode_steps")
         if hold.first_step is not None and self.env.task != "grasp":
             raise ValueError(f"env.hold.first_step: the table stays in task {self.env.task}; expected null")
-        if self.physics.concave == "mesh" and self.engine == "mujoco":
-            raise ValueError("physics.concave: mujoco does not support concave meshes; expected auto or parts, or the "
-                             "engine pybullet")
+        if self.physics.concave == "mesh" and self.engine not in CONCAVE_MESHES:
+            raise ValueError(f"physics.concave: {self.engine} does not support concave meshes; expected auto or parts, "
+                             f"or the engine {' or '.join(CONCAVE_MESHES)}")
         if self.ppo.min_learning_rate > self.ppo.max_learning_rate:
             raise ValueError("ppo.min_learning_rate must not exceed ppo.max_learning_rate")
         return self
@@ -190,7 +190,13 @@ def read_values(path: Path) -> dict[str, Any]:
     """The plain values of a YAML config."""
     try:
         text = Path(path).read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
+    except OSError as error:
+        folders = {path.parent, *([cfg_root()] if path.parent == Path("cfg") else [])}
+        there = [file.name for folder in folders for file in folder.glob("*.yaml")]
+        near = difflib.get_close_matches(path.name, there, 1)
+        hint = f"; did you mean {str(path.parent / near[0])!r}?" if near else ""
+        raise ConfigError(f"{path}: cannot read the config ({error.strerror}){hint}") from None
+    except UnicodeDecodeError as error:
         raise ConfigError(f"{path}: cannot read the config ({error})") from None
     values = parse_yaml(text, str(path))
     values = {} if values is None else values

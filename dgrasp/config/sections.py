@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator
@@ -14,6 +15,12 @@ MAX_STEPS = 10_000
 """Most control steps of an episode or window (five minutes); all of them are kept in memory."""
 Steps = Annotated[int, Field(ge=1, le=MAX_STEPS)]
 WristError = Literal["euler", "rotation_vector"]
+Inertia = Literal["true", "official", "mixed"]
+_OFFICIAL = "the authors' inertia of 1 kg m2"
+INERTIA: dict[Inertia, str] = {
+    "true": "true inertia", "official": _OFFICIAL, "mixed": f"{_OFFICIAL}, true inertia for added objects",
+}  # fmt: skip
+"""The inertia of a set of objects (`PhysicsConfig.official_compat`), and its description for users."""
 
 
 class Section(BaseModel):
@@ -64,17 +71,30 @@ class PhysicsConfig(Section):
     (docs/physics.md). test.py takes "faithful" whatever a run trained with, unless physics.preset is given.
     concave: how a release's concave objects collide: "mesh" as the authors' triangles (pybullet only), "parts" as
     convex parts cut from them; "auto" takes the better one for the object and the engine (docs/physics.md).
+    official_compat: true gives every object 1 kg m^2 about every axis, and the release's and the free objects their
+    centre of mass at the origin, as in the authors' runs; false gives the mass distribution that follows from shape
+    and mass; null takes the first for objects of a release, and the second for the free set and for added objects.
     """
 
     timestep: Positive = 0.00222
     substeps: Annotated[int, Field(ge=1, le=1000)] = 13
     friction: NonNegative = 0.8
-    official_compat: bool = True
+    official_compat: bool | None = None
     masses: Literal["official", "ycb"] = "official"
     concave: Literal["auto", "mesh", "parts"] = "auto"
     preset: Literal["faithful", "fast"] = "faithful"
     hand_table_collision: bool = True
     self_collision: bool = False
+
+    def official_inertia(self, released: bool) -> bool:
+        """Whether an object has the authors' 1 kg m^2; `released` says whether it is an object of a release."""
+        return released if self.official_compat is None else self.official_compat
+
+
+def which_inertia(official: Iterable[bool]) -> Inertia:
+    """The inertia of a set of objects; `official` has one entry for each: whether it has the authors'."""
+    found = set(official)
+    return "mixed" if len(found) > 1 else "official" if True in found else "true"
 
 
 class NoiseConfig(Section):

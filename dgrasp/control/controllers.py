@@ -76,7 +76,7 @@ class WristHold:
         self._wrist = state.gc[:, :N_WRIST].copy()
 
     def catch(self, state: SceneState, rows: Array) -> None:
-        """Hold the wrists of some environments where they are now."""
+        """Hold the wrists of some environments, given by their rows (n,), where they are now."""
         self._wrist[rows] = state.gc[rows, :N_WRIST]
 
     def bias(self, state: SceneState, goal: GraspGoal, out: Array) -> None:
@@ -90,7 +90,7 @@ class LabelPose:
     kp_position = HOLD_KP_POSITION
 
     def __init__(self, config: ActionConfig, hand: HandLayout) -> None:
-        self.sigma = np.zeros(hand.n_dof)
+        self.sigma: Array = np.zeros(hand.n_dof)
 
     def bias(self, state: SceneState, goal: GraspGoal, out: Array) -> None:
         out[:, :N_WRIST] = 0.0

@@ -35,7 +35,7 @@ class MotionSynthesis:
         self, action: ActionConfig, motion: MotionConfig, hand: HandLayout, fingers: Array | None = None
     ) -> None:
         """fingers: (N, J) targets to hold the fingers at, instead of the policy's (the baseline "static grasp")."""
-        self.sigma = np.zeros(hand.n_dof)
+        self.sigma: Array = np.zeros(hand.n_dof)
         if fingers is None:
             self.sigma[N_WRIST:] = action.sigma_fingers
         self._motion = motion

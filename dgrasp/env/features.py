@@ -11,9 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from dgrasp.config.sections import EnvConfig
-from dgrasp.files.paths import data_root
 from dgrasp.hand.layout import N_WRIST, HandLayout
-from dgrasp.hand.load import load_hand
 from dgrasp.scene.relations import Relations, target_turn_W, wrist_angvel_W
 from dgrasp.types import Array, GraspGoal, SceneState
 from raisim_like.rotations import euler_from_matrix, rotate, rotate_back
@@ -185,7 +183,9 @@ class FeatureLayer:
 
 def features_page() -> str:
     """The text of docs/features.md: the meaning of each number of the observations, for a hand with MANO's joints."""
-    hand = load_hand(data_root() / "free" / "hand" / "free_hand.urdf", "free").layout
+    from dgrasp.hand.store import open_hand
+
+    hand = open_hand("free").model.layout
     lines = [
         "# Observations",
         "",

@@ -16,7 +16,7 @@ from dgrasp.env.goal import make_goal
 from dgrasp.env.rewards import Reward
 from dgrasp.env.start import start_pose, taking_part, with_noise
 from dgrasp.env.training_hold import TrainingHold
-from dgrasp.hand.layout import N_WRIST
+from dgrasp.hand.layout import N_WRIST, HandLayout
 from dgrasp.hand.model import HandModel
 from dgrasp.objects.model import ObjectModel
 from dgrasp.rl.collect import Actor
@@ -65,7 +65,7 @@ class GraspEnv:
         env = self.config.env
         self.num_envs = n
         layout = self.hand.layout
-        self.action_size = layout.action_size(env.task)
+        self.action_size = self.actions(layout)
         self.layer = FeatureLayer(env, layout)
         self.observation_size = self.layer.size
         self.reward = Reward(env.reward, layout, env.task)
@@ -95,6 +95,11 @@ class GraspEnv:
         """Control steps of an episode in this epoch."""
         self.steps_made = np.zeros(n, int)
         """Control steps of each environment since its construction."""
+
+    @classmethod
+    def actions(cls, hand: HandLayout) -> int:
+        """A, the size of the policy's action: one number per generalised coordinate."""
+        return hand.n_dof
 
     def _start_control(self) -> Controller:
         """The controller that an episode begins with."""
@@ -166,8 +171,8 @@ class GraspEnv:
 
     def step(self, actions: Array) -> Step:
         """Make one control step with residual actions (N, A)."""
-        self._aim()
-        self._aim_joints(actions)
+        self._write_target_pose()
+        self._write_pd_targets(actions)
         np.clip(self._target, self._limits[0], self._limits[1], out=self._target)
         self._advance()
         self.clock += self.alive & self.active
@@ -176,11 +181,11 @@ class GraspEnv:
         if broken.any():
             # The last valid observation of these episodes is the one before this step.
             self.o.final_observation[broken] = self.o.observation[broken]
-            self._bury(np.flatnonzero(broken))
+            self._rebuild_broken(np.flatnonzero(broken))
         self.worlds.derive(self._rows)
         np.divide(self.clock, self.episode_steps, out=self.s.episode_time)
         dropped = self.hold.judge(self.s) if self._training_hold else np.zeros(self.num_envs, bool)
-        self._pay(self._observe(self._rows))
+        self._write_reward(self._observe(self._rows))
         # A broken episode earns nothing in its last step; its environment has already been placed at a start.
         self.o.reward[broken], self.o.reward_terms[broken] = 0.0, 0.0
         self.o.broken[:] = self.o.terminated[:] = broken
@@ -194,7 +199,7 @@ class GraspEnv:
                 self._restart(np.flatnonzero(ended))
         return self.o
 
-    def _aim_joints(self, actions: Array) -> None:
+    def _write_pd_targets(self, actions: Array) -> None:
         """Write the PD targets of this step: the controller's bias plus the scaled residual actions."""
         if self._training_hold:
             for i in self.hold.begin(self.s, self.clock, self.active).tolist():
@@ -205,7 +210,7 @@ class GraspEnv:
             sigma = self.hold.aim(self.s, self.goal, sigma, self._target)
         self._target += sigma * actions
 
-    def _pay(self, seen: Seen) -> None:
+    def _write_reward(self, seen: Seen) -> None:
         """Write the reward of this step."""
         if isinstance(seen.rows, slice):
             self.reward(seen.state, seen.goal, seen.relations, self.o.reward_terms, self.o.reward)
@@ -253,7 +258,7 @@ class GraspEnv:
         for i in range(self.num_envs):
             self.worlds.set_gains(i, self.control.kp_position)
 
-    def _aim(self) -> None:
+    def _write_target_pose(self) -> None:
         """Put the target of the next control step into the state."""
         if self._path is not None:
             T_WG = self._path[:, min(self._path_step, self._path.shape[1] - 1)]
@@ -280,7 +285,7 @@ class GraspEnv:
 
     # Ends --------------------------------------------------------------------------------------
 
-    def _bury(self, ids: Array) -> None:
+    def _rebuild_broken(self, ids: Array) -> None:
         """Report broken episodes, then rebuild their worlds and place them at a start.
 
         This comes before features and rewards are computed, which must not see the broken state. Outside training these

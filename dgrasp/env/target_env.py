@@ -9,7 +9,7 @@ from dgrasp.control.motion import Fingers
 from dgrasp.control.wrist import WholeHand, move_wrist
 from dgrasp.env.features import FeatureLayer
 from dgrasp.env.grasp_env import GraspEnv, Mode, Seen
-from dgrasp.hand.layout import N_WRIST
+from dgrasp.hand.layout import N_WRIST, HandLayout
 from dgrasp.motion.targets import training_target
 from dgrasp.scene.relations import relations
 from dgrasp.types import Array
@@ -35,8 +35,8 @@ class FlatEnv(TargetEnv):
     def _start_control(self) -> Controller:
         return super()._start_control() if self.mode == "label" else WholeHand(self.config.env, self.hand.layout)
 
-    def _aim_joints(self, actions: Array) -> None:
-        super()._aim_joints(actions)
+    def _write_pd_targets(self, actions: Array) -> None:
+        super()._write_pd_targets(actions)
         if isinstance(self.control, WholeHand):
             move_wrist(self._target, self.s, actions[:, :N_WRIST], self.config.motion, slice(None))
 
@@ -60,6 +60,11 @@ class MotionEnv(TargetEnv):
         self._moving = np.zeros(self.num_envs, bool)
         """Environments in which the actions move the wrist."""
 
+    @classmethod
+    def actions(cls, hand: HandLayout) -> int:
+        """A: the wrist's coordinates alone."""
+        return N_WRIST
+
     def reset(self, epoch: int = 0, mode: Mode = "train") -> Array:
         """As `GraspEnv.reset`; in training it also makes the grasps before it returns."""
         super().reset(epoch, mode)
@@ -73,10 +78,10 @@ class MotionEnv(TargetEnv):
         super()._place(i)
         self._moving[i] = False
 
-    def _aim_joints(self, actions: Array) -> None:
+    def _write_pd_targets(self, actions: Array) -> None:
         if self.mode == "train":
-            self._let_go(~self._moving & (self.clock >= self.config.env.grasp_steps))
-        super()._aim_joints(self._grasp_actions())
+            self._start_moving(~self._moving & (self.clock >= self.config.env.grasp_steps))
+        super()._write_pd_targets(self._grasp_actions())
         rows = np.flatnonzero(self._moving)
         self._target[rows, :N_WRIST] = self.s.gc[rows, :N_WRIST]
         move_wrist(self._target, self.s, actions, self.config.motion, rows)
@@ -93,7 +98,7 @@ class MotionEnv(TargetEnv):
         actions[rows] = means
         return actions
 
-    def _let_go(self, which: Array) -> None:
+    def _start_moving(self, which: Array) -> None:
         """Begin the motion of some environments: the wrist gets the stiffness of motion synthesis."""
         for i in np.flatnonzero(which).tolist():
             self.worlds.set_gains(i, HOLD_KP_POSITION)
@@ -101,10 +106,10 @@ class MotionEnv(TargetEnv):
 
     def _begin_motion_control(self, fingers: Fingers) -> None:
         """Let the actions move all wrists."""
-        self._let_go(np.ones(self.num_envs, bool))
+        self._start_moving(np.ones(self.num_envs, bool))
 
-    def _pay(self, seen: Seen) -> None:
-        super()._pay(seen)
+    def _write_reward(self, seen: Seen) -> None:
+        super()._write_reward(seen)
         self.o.reward[~self._moving], self.o.reward_terms[~self._moving] = 0.0, 0.0
 
 

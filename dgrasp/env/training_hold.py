@@ -25,7 +25,10 @@ class TrainingHold:
             self._removal[i] = rng.integers(self.config.first_step, self.config.last_step + 1)
 
     def begin(self, state: SceneState, clock: Array, active: Array) -> Array:
-        """Start the hold where it is due; return the rows of the environments whose table must be removed now."""
+        """Start the hold where it is due; return the rows (n,) of the environments whose table must be removed now.
+
+        clock: (N,) control steps since the start of the episode. active: (N,) bool, see `GraspEnv.active`.
+        """
         rows = np.flatnonzero(active & (state.table_gone == 0) & (clock >= self._removal))
         if len(rows):
             self.control.catch(state, rows)

@@ -71,7 +71,7 @@ def find_agreement(policy: Path, chosen: LabelSet, success: Sequence[bool]) -> A
     file = policy.with_name(FILE)
     if chosen.published_as != ("dexycb", "train") or not file.is_file():
         return None
-    everything = load_labels(chosen.source).labels
+    everything = load_labels(chosen.path).labels
     number = re.match(r"(\d{3})_", policy.parent.name)
     counted = [label for label in everything if number is None or label.object_id.startswith(number[0])]
     held = _held(file, counted)

@@ -35,7 +35,7 @@ class Recorder:
         self.contact_impulse = np.zeros((steps, *state.contacts.shape))
         self.table_contact = np.zeros((steps, n), bool)
         self.reward = np.zeros((steps, n))
-        self.length = np.full(n, steps)
+        self.length: Array = np.full(n, steps)
 
     def write(self, reward: Array, terminated: Array) -> None:
         t, s = self.t, self.pool.state

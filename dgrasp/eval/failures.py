@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from dgrasp.config.experiment import control_steps
-from dgrasp.eval.metrics import fallen_steps, window_steps
+from dgrasp.eval.metrics import fallen_steps, recorded_window
 from dgrasp.types import Array, EpisodeRecord
 
 KINDS = ("approach", "lift", "slip", "drop", "broken")
@@ -59,7 +59,7 @@ def outcome(record: EpisodeRecord, window_s: float) -> Outcome:
     The object is lost at the last step before it lands in which a part of the hand touches it.
     """
     start = record.window_start
-    stop = start + window_steps(record, window_s)
+    stop = start + recorded_window(record, window_s)
     landed = np.flatnonzero(fallen_steps(record)[start:stop])
     if not landed.size:
         if not record.terminated:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from dgrasp.eval.output import remarks, title
+from dgrasp.eval.output import notices, remarks, title
 from dgrasp.eval.summary import Result
 from dgrasp.files.atomic import write_atomic
 
@@ -26,7 +26,7 @@ def escaped(text: str) -> str:
 
 
 def latex_text(result: Result) -> str:
-    """A `tabular` for `\\usepackage{booktabs}`, preceded by the title and remarks as LaTeX comments."""
+    """A `tabular` for `\\usepackage{booktabs}`, preceded by the title, notices and remarks as LaTeX comments."""
     metrics = [name for name in _COLUMNS if name in result.mean_over_labels]
     paper = result.paper or {}
     if "interpenetration_cm3" in metrics and "interpenetration_shell_cm3" in paper:
@@ -52,7 +52,7 @@ def latex_text(result: Result) -> str:
             if name in paper:
                 cells.append(_number(name, paper[name].get(key)))
         rows.append(" & ".join(cells) + r" \\")
-    about = [f"% {' '.join(line.split())}" for line in (title(result), *remarks(result))]
+    about = [f"% {' '.join(line.split())}" for line in (title(result), *notices(result), *remarks(result))]
     return "\n".join([
         *about, r"% \usepackage{booktabs}", f"\\begin{{tabular}}{{l{'r' * (column - 2)}}}", r"\toprule",
         " & ".join(upper) + r" \\", *([" ".join(rules)] if rules else []), " & ".join(lower) + r" \\", r"\midrule",

@@ -17,7 +17,7 @@ FALLEN_HEIGHT = 0.1
 """m. An object whose origin is at or below this height has fallen past the lowered table."""
 
 
-def window_steps(record: EpisodeRecord, window_s: float) -> int:
+def recorded_window(record: EpisodeRecord, window_s: float) -> int:
     """Control steps in the window, fewer if the episode ended early.
 
     Raises `DataError` for a window shorter than one step, and if the record of an episode that did not end early is
@@ -43,7 +43,7 @@ def success(record: EpisodeRecord, window_s: float) -> bool:
     In each step of the window the object does not touch the lowered table and its origin is above z = 0.1 m, and the
     episode did not end early.
     """
-    stop = record.window_start + window_steps(record, window_s)
+    stop = record.window_start + recorded_window(record, window_s)
     if record.terminated:
         return False
     return not fallen_steps(record)[record.window_start : stop].any()
@@ -183,7 +183,7 @@ def fallen_steps(record: EpisodeRecord) -> Array:
 def _mean_step_mm(record: EpisodeRecord, window_s: float, position: Array) -> float | None:
     # The first difference needs the state before the window, which a record that begins with the window does not have.
     start = max(record.window_start, 1)
-    stop = record.window_start + window_steps(record, window_s)
+    stop = record.window_start + recorded_window(record, window_s)
     landed = np.flatnonzero(fallen_steps(record)[start:stop])
     if landed.size:
         stop = start + int(landed[0]) + 1

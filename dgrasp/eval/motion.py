@@ -16,6 +16,7 @@ from dgrasp.config.experiment import Config
 from dgrasp.data import DataChoice
 from dgrasp.errors import ConfigError, DataError
 from dgrasp.eval import metrics
+from dgrasp.eval.comparison import data_stamp
 from dgrasp.eval.evaluator import (
     Cost,
     Progress,
@@ -96,7 +97,8 @@ def run_motions(
     episode = grasp_steps(method, config) + steps
     test_steps = evaluation_steps(spec, method)
     total = len(which) * len(parts_of(spec)) * episode + (test_steps if motion.stable_alone else 0)
-    stable, done = np.ones(len(spec.labels), bool), 0
+    stable: Array = np.ones(len(spec.labels), bool)
+    done = 0
     costs: list[Cost] = []
     events: list[str] = []
     if motion.stable_alone:
@@ -210,7 +212,7 @@ def motion_result(
         del about["n_stable"], about["left_out"]
     return summarise(
         rows, method=method.name, engine=config.engine, window_s=config.eval.window_s, seed=config.seed,
-        data=choice.stamp(), cost=motions.cost, motion=about,
+        data=data_stamp(method, config, choice), cost=motions.cost, motion=about,
     )  # fmt: skip
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import json
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,10 +14,11 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from dgrasp.config.sections import INERTIA
 from dgrasp.eval.summary import Result
 from dgrasp.files.atomic import write_atomic
 
-NOT_COMPARABLE = "own hand and labels: not comparable with the paper"
+NOT_COMPARABLE = "not comparable with the paper"
 NO_COLUMN = "the paper has no numbers for this method on these labels"
 
 _TITLES = {
@@ -43,12 +44,13 @@ _FILES_ALONE = ("sim_dist_mm_per_s", "sim_dist_wrist_mm_per_step", "interpenetra
 
 
 def print_table(result: Result, console: Console | None = None) -> None:
-    """Print the result as a table, beside the paper's numbers if they are comparable, else with a line that says why.
+    """Print the result as a table, beside the paper's numbers if they are comparable, else below a line that says why.
 
     The table fits 80 columns: it shows SimDist only in the unit of the paper's tables, and the contact ratio only if
     there is room. The files hold all metrics.
     """
     console = console or Console()
+    _print_lines(notices(result), console)
     crowded = result.paper is not None and "interpenetration_cm3" in result.mean_over_labels
     header, rows = table_cells(result, skip=(*_FILES_ALONE, "contact_ratio") if crowded else _FILES_ALONE)
     table = Table(title=escape(title(result)), title_justify="left", show_footer=False, box=box.SIMPLE_HEAD,
@@ -58,7 +60,11 @@ def print_table(result: Result, console: Console | None = None) -> None:
     for i, row in enumerate(rows):
         table.add_row(*(escape(cell) for cell in row), end_section=i == len(rows) - 3)
     console.print(table)
-    for line in remarks(result):
+    _print_lines(remarks(result), console)
+
+
+def _print_lines(lines: Sequence[str], console: Console) -> None:
+    for line in lines:
         console.print(line, markup=False, highlight=False)
 
 
@@ -70,13 +76,17 @@ def title(result: Result) -> str:
     return f"{result.method}, {result.engine}, window {result.window_s:g} s, {result.n_labels} labels"
 
 
+def notices(result: Result) -> list[str]:
+    """Lines above the table: why the paper's numbers are not beside ours. Empty if they are."""
+    if not result.data.get("comparable_with_paper"):
+        why = "; ".join(result.data.get("not_comparable") or ["hand or labels are not the paper's"])
+        return [f"{NOT_COMPARABLE}: {why}"]
+    return [NO_COLUMN] if result.paper is None else []
+
+
 def remarks(result: Result) -> list[str]:
     """Lines under the table: the comparison with the paper, and the hand, labels, seed and code."""
     lines = []
-    if not result.data.get("comparable_with_paper"):
-        lines.append(NOT_COMPARABLE)
-    elif result.paper is None:
-        lines.append(NO_COLUMN)
     if result.correlation_with_paper:
         pairs = ", ".join(f"{_name(k)} {v:.2f}" for k, v in result.correlation_with_paper.items())
         lines.append(f"correlation with the paper over objects: {pairs}")
@@ -94,7 +104,13 @@ def remarks(result: Result) -> list[str]:
         lines.append(f"{len(result.motion['left_out'])} of {result.motion['n_grasps']} grasps did not pass the "
                      f"stability test of {result.window_s:g} s and were left out, as in the paper")
     used = [f"{key} {result.data[key]}" for key in ("hand", "labels", "licence") if key in result.data]
+    used += filter(None, [inertia(result)])
     return [*lines, "; ".join([*used, f"seed {result.seed}", f"code {result.commit}"])]
+
+
+def inertia(result: Result) -> str:
+    """The inertia that the objects had, in words; empty if the result does not say."""
+    return INERTIA.get(result.data.get("inertia", ""), "")
 
 
 def _about_interpenetration(result: Result) -> list[str]:
@@ -157,9 +173,10 @@ def csv_text(result: Result) -> str:
 
 
 def markdown_text(result: Result) -> str:
-    """The table and its remarks as Markdown."""
+    """The table as Markdown, between its notices and its remarks."""
     header, rows = table_cells(result)
-    lines = [f"## {title(result)}", "", _markdown_row(header), _markdown_row(["---"] + ["---:"] * (len(header) - 1))]
+    lines = [f"## {title(result)}", "", *(f"**{line}**\n" for line in notices(result))]
+    lines += [_markdown_row(header), _markdown_row(["---"] + ["---:"] * (len(header) - 1))]
     lines += [_markdown_row(row) for row in rows]
     return "\n".join([*lines, "", *(f"- {line}" for line in remarks(result))]) + "\n"
 

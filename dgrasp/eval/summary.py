@@ -9,13 +9,13 @@ from typing import Any
 
 import numpy as np
 
-from dgrasp import __version__
 from dgrasp.errors import DataError
 from dgrasp.eval import failures, metrics
 from dgrasp.eval.intervals import intervals
 from dgrasp.eval.paper import Column, motion_column, paper_column
 from dgrasp.files.paths import is_checkout, shipped_root
 from dgrasp.types import EpisodeRecord
+from dgrasp.version import __version__
 
 SCHEMA = 1
 MIN_OBJECTS = 3
@@ -35,7 +35,7 @@ class Result:
     method: "gt_pd", "gt_ik", "policy", ...
     window_s: the stability window, s.
     commit: the commit of the code, or its version.
-    data: `DataChoice.stamp()`.
+    data: `comparison.data_stamp`.
     mean_over_objects, mean_over_labels: metric -> mean.
     per_object: object -> "n" and its means.
     per_label: rows in the label file's order, each with object, index, its metrics, and "terminated" with the reason if
@@ -110,7 +110,7 @@ def summarise(
 ) -> Result:
     """The result of evaluated episodes, given as records or as rows like those of `label_row`, in file order.
 
-    data: `DataChoice.stamp()`; its comparable_with_paper, source and split select the paper's column.
+    data: `comparison.data_stamp`; its comparable_with_paper, source and split select the paper's column.
     Every number in a row except `NO_METRICS` is a metric and is averaged over the labels that have it.
     Raises `DataError` if there are no episodes, or if a metric is NaN or infinite.
     """

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from dgrasp.export.sequence import StoredSequence
 from dgrasp.hand.layout import N_WRIST
@@ -73,6 +72,8 @@ def mano_note(sequence: StoredSequence) -> str:
 
 
 def _mano(sequence: StoredSequence, file: Path | None) -> dict[str, Array]:
+    from scipy.spatial.transform import Rotation
+
     origin, record = sequence.about["mano"], sequence.record
     if origin is None:
         return {}

@@ -19,15 +19,17 @@ from dgrasp.hand.surface import mano_of_hand
 from dgrasp.pool import PoolSpec
 from dgrasp.scene.scene import LOWERED_TOP, TABLE_TOP
 from dgrasp.types import EpisodeRecord
-from dgrasp.view.meshes import OBJECT_FACES, DisplayMeshes, hand_meshes, light
+from dgrasp.view.meshes import OBJECT_FACES, DisplayMeshes, hand_meshes, hand_shapes, light, object_shapes
 
 
 def display_meshes(choice: DataChoice, spec: PoolSpec) -> dict[str, DisplayMeshes]:
-    """Light meshes of the hand and of each object, by object name."""
-    hand = hand_meshes(spec.hand)
-    bodies = build_bodies(choice, spec.objects)
-    return {name: DisplayMeshes(spec.hand.chain, spec.hand.layout.names.parts, hand, light(entry.body, OBJECT_FACES))
-            for name, entry in bodies.items()}
+    """Light meshes of the hand and of each object, and their collision shapes, by object name."""
+    hand, shapes, parts = hand_meshes(spec.hand), hand_shapes(spec.hand), spec.hand.layout.names.parts
+    return {
+        name: DisplayMeshes(spec.hand.chain, parts, hand, light(entry.body, OBJECT_FACES),
+                            (*shapes, object_shapes(spec.objects[name])))
+        for name, entry in build_bodies(choice, spec.objects).items()
+    }  # fmt: skip
 
 
 def mano_origin(choice: DataChoice, hand: HandModel, config: Config) -> dict[str, Any] | None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
@@ -11,6 +10,7 @@ import numpy as np
 
 from dgrasp.errors import ConfigError, DataError
 from dgrasp.export.sequence import StoredSequence
+from dgrasp.files.atomic import write_atomic
 from dgrasp.types import Array
 from dgrasp.view.frames import SIZE, gif_bytes, record_pictures
 
@@ -40,10 +40,9 @@ def write_mp4(path: Path, sequence: StoredSequence) -> None:
         raise ConfigError("mp4 needs imageio-ffmpeg, which is not installed; pip install 'dgrasp[video]', or export gif"
                           ) from None
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryDirectory(dir=path.parent, prefix=f".{path.name}.") as folder:
-            part = Path(folder) / "film.mp4"
-            writer = imageio_ffmpeg.write_frames(str(part), SIZE, fps=1.0 / sequence.record.dt, quality=7,
+        with tempfile.TemporaryDirectory(prefix="dgrasp-") as folder:
+            film = Path(folder) / "film.mp4"
+            writer = imageio_ffmpeg.write_frames(str(film), SIZE, fps=1.0 / sequence.record.dt, quality=7,
                                                  macro_block_size=2, ffmpeg_log_level="error")
             writer.send(None)
             try:
@@ -51,6 +50,7 @@ def write_mp4(path: Path, sequence: StoredSequence) -> None:
                     writer.send(np.ascontiguousarray(picture))
             finally:
                 writer.close()
-            os.replace(part, path)
+            content = film.read_bytes()
     except OSError as error:
-        raise DataError(f"{path}: cannot be written ({error.strerror or error})") from None
+        raise DataError(f"{path}: the film cannot be made ({error.strerror or error})") from None
+    write_atomic(path, content)

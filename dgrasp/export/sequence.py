@@ -12,6 +12,7 @@ Members (T control steps; m, rad, s, world frame with z up; float32 unless state
   `keypoint_offsets` (K, 3): the hand's `Kinematics`, float64 and int64.
 - `mesh_vertices` (V, 3), `mesh_faces` (F, 3), `mesh_sizes` (P + 1, 2) int32: light meshes of the parts and the object,
   concatenated; `mesh_sizes` has each mesh's numbers of vertices and faces.
+- `shape_vertices`, `shape_faces`, `shape_sizes`: the same for their collision shapes. Older files lack them.
 
 Files of schema 1 have no names, and of the kinematics only `offsets`; their hands have MANO's joints.
 """
@@ -44,6 +45,7 @@ MAX_BYTES = 256 * 2**20
 _STATES = ("gc", "T_WH", "T_WO", "joints_W", "contact_impulse", "contacts", "table_contact", "reward")
 _LABEL = ("hand_pose", "T_WH", "T_WO", "joints_W", "goal_contacts")
 _CHAIN = tuple(field.name for field in fields(Kinematics))
+_MESHES, _SHAPES = (tuple(f"{kind}_{name}" for name in ("vertices", "faces", "sizes")) for kind in ("mesh", "shape"))
 _MASKS = ("contacts", "table_contact", "goal_contacts")
 _ABOUT = {"method": str, "engine": str, "window_s": float, "timestep_s": float, "dt": float, "window_start": int,
           "terminated": str, "table": dict, "label": dict, "row": dict, "data": dict}
@@ -102,15 +104,13 @@ def write_sequence(path: Path, sequence: StoredSequence) -> None:
                   "on_table": label.on_table},
         "names": asdict(sequence.names),
     }  # fmt: skip
-    bodies = [*meshes.hand, meshes.object]
     arrays: dict[str, Array] = {
         "meta": np.array(json.dumps(meta, allow_nan=False)),
         **{name: _packed(name, getattr(record, name)) for name in _STATES},
         **{f"label_{name}": np.asarray(getattr(label, name)) for name in _LABEL},
         **{name: np.asarray(getattr(meshes.chain, name)) for name in _CHAIN},
-        "mesh_vertices": np.concatenate([mesh.vertices for mesh in bodies]).astype(np.float32),
-        "mesh_faces": np.concatenate([mesh.faces for mesh in bodies]).astype(np.int32),
-        "mesh_sizes": np.array([[len(mesh.vertices), len(mesh.faces)] for mesh in bodies], dtype=np.int32),
+        **dict(zip(_MESHES, _concatenated([*meshes.hand, meshes.object]), strict=True)),
+        **(dict(zip(_SHAPES, _concatenated(meshes.shapes), strict=True)) if meshes.shapes else {}),
     }
     if record.T_WG is not None:
         arrays["target_T_WO"] = np.asarray(record.T_WG, dtype=np.float32)
@@ -124,16 +124,30 @@ def _packed(name: str, values: Array) -> Array:
     return np.asarray(values) > 0 if name in _MASKS else np.asarray(values, dtype=np.float32)
 
 
-def read_sequence(path: Path) -> StoredSequence:
-    """Read a sequence that `write_sequence` wrote. Raises `DataError` for a file that is damaged or of another kind."""
+def _concatenated(meshes: Sequence[Mesh]) -> tuple[Array, Array, Array]:
+    """Vertices, faces and sizes (the numbers of both for each mesh) of meshes, at least one."""
+    return (np.concatenate([mesh.vertices for mesh in meshes]).astype(np.float32),
+            np.concatenate([mesh.faces for mesh in meshes]).astype(np.int32),
+            np.array([[len(mesh.vertices), len(mesh.faces)] for mesh in meshes], dtype=np.int32))
+
+
+def read_sequence(path: Path, shapes: bool = False) -> StoredSequence:
+    """Read a sequence that `write_sequence` wrote. Raises `DataError` for a file that is damaged or of another kind.
+
+    shapes: refuse a file without collision shapes.
+    """
     path = Path(path)
     with open_npz(path, "stored sequence", MAX_BYTES) as archive:
         if "meta.npy" not in archive.names:
             raise DataError(f"{path}: no stored sequence (no member meta); expected a file of `test.py --records DIR`")
         meta = _meta(path, archive.read("meta", "U"))
         chain_members = _CHAIN if meta["schema"] > 1 else ("offsets",)
-        required = [*_STATES, *(f"label_{name}" for name in _LABEL), *chain_members, "mesh_vertices", "mesh_faces",
-                    "mesh_sizes"]
+        has_shapes = f"{_SHAPES[0]}.npy" in archive.names
+        if shapes and not has_shapes:
+            raise DataError(f"{path}: an older version wrote this file without collision shapes; write it again with "
+                            "`test.py --records DIR`, or leave out --shapes")
+        mesh_members = (*_MESHES, *(_SHAPES if has_shapes else ()))
+        required = [*_STATES, *(f"label_{name}" for name in _LABEL), *chain_members, *mesh_members]
         lacking = [name for name in required if f"{name}.npy" not in archive.names]
         if lacking:
             raise DataError(f"{path}: lacks {', '.join(lacking)}; write it again with `test.py --records DIR`")
@@ -141,12 +155,12 @@ def read_sequence(path: Path) -> StoredSequence:
         T_WG = archive.read("target_T_WO", "f") if "target_T_WO.npy" in archive.names else None
     steps = len(a["gc"]) if a["gc"].ndim else 0
     names = _names(path, meta)
-    for name, shape in _shapes(names, steps, chain_members).items():
+    for name, shape in _expected(names, steps, chain_members, mesh_members).items():
         if a[name].shape != shape:
             raise DataError(f"{path}: {name} has shape {a[name].shape}; expected {shape}; write the file again")
     if T_WG is not None and T_WG.shape not in ((4, 4), (steps, 4, 4)):
         raise DataError(f"{path}: target_T_WO has shape {T_WG.shape}; expected (4, 4) or {(steps, 4, 4)}")
-    bad = [name for name in (*chain_members, "mesh_vertices") if not np.isfinite(a[name]).all()]
+    bad = [name for name in (*chain_members, *mesh_members) if not np.isfinite(a[name]).all()]
     if bad:
         raise DataError(f"{path}: {', '.join(bad)} hold NaN or infinity; write the file again")
     chain = _chain(path, a) if meta["schema"] > 1 else mano_kinematics(a["offsets"])
@@ -163,13 +177,17 @@ def read_sequence(path: Path) -> StoredSequence:
         label=label, **states, window_start=meta["window_start"], dt=meta["dt"], terminated=meta["terminated"],
         T_WG=None if T_WG is None else np.broadcast_to(T_WG, (steps, 4, 4)).astype(np.float64),
     )  # fmt: skip
-    meshes = _meshes(path, (*names.parts, "object"), a["mesh_vertices"], a["mesh_faces"], a["mesh_sizes"])
+    bodies = (*names.parts, "object")
+    meshes = _meshes(path, bodies, _MESHES, a)
+    collision = _meshes(path, bodies, _SHAPES, a) if has_shapes else []
     about = {key: meta[key] for key in ("method", "engine", "window_s", "timestep_s", "table", "row", "data")}
-    return StoredSequence(record, DisplayMeshes(chain, names.parts, tuple(meshes[:-1]), meshes[-1]), names,
-                          {**about, "mano": meta.get("mano")})
+    drawn = DisplayMeshes(chain, names.parts, tuple(meshes[:-1]), meshes[-1], tuple(collision))
+    return StoredSequence(record, drawn, names, {**about, "mano": meta.get("mano")})
 
 
-def _shapes(names: HandNames, steps: int, chain_members: Sequence[str]) -> dict[str, tuple[int, ...]]:
+def _expected(
+    names: HandNames, steps: int, chain_members: Sequence[str], mesh_members: Sequence[str]
+) -> dict[str, tuple[int, ...]]:
     """Member -> its expected shape. steps: T."""
     joints, parts, points = len(names.joints), len(names.parts), len(names.keypoints)
     states: dict[str, tuple[int, ...]] = {
@@ -184,7 +202,8 @@ def _shapes(names: HandNames, steps: int, chain_members: Sequence[str]) -> dict[
     return {
         **{name: (steps, *states[name]) for name in _STATES},
         **{f"label_{name}": label.get(name, states.get(name, ())) for name in _LABEL},
-        **{name: chain[name] for name in chain_members}, "mesh_sizes": (parts + 1, 2),
+        **{name: chain[name] for name in chain_members},
+        **{name: (parts + 1, 2) for name in mesh_members if name.endswith("sizes")},
     }  # fmt: skip
 
 
@@ -244,11 +263,12 @@ def _meta(path: Path, text: Array) -> dict[str, Any]:
     return meta
 
 
-def _meshes(path: Path, bodies: Sequence[str], vertices: Array, faces: Array, sizes: Array) -> list[Mesh]:
+def _meshes(path: Path, bodies: Sequence[str], members: Sequence[str], a: dict[str, Array]) -> list[Mesh]:
+    vertices, faces, sizes = (a[member] for member in members)
     if vertices.ndim != 2 or faces.ndim != 2 or vertices.shape[1] != 3 or faces.shape[1] != 3 or (sizes < 0).any() or (
         tuple(sizes.sum(axis=0)) != (len(vertices), len(faces))
     ):
-        raise DataError(f"{path}: mesh_sizes do not add up to mesh_vertices and mesh_faces; write the file again")
+        raise DataError(f"{path}: {members[2]} do not add up to {members[0]} and {members[1]}; write the file again")
     meshes: list[Mesh] = []
     v = f = 0
     for n_vertices, n_faces in sizes.tolist():

@@ -1,4 +1,4 @@
-"""Stand-ins for what pickles name of NumPy, and an unpickler that builds arrays from their bytes.
+"""Stand-ins for the names of NumPy in pickles, and an unpickler that builds arrays from their bytes.
 
 NumPy 1 and 2 name their modules `numpy.core` and `numpy._core`. Protocols 0 to 2 write the bytes of an array as text,
 which `_codecs.encode` turns back; protocol 5 writes a buffer, which `_frombuffer` takes.

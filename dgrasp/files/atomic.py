@@ -1,10 +1,12 @@
-"""Write files so that a reader sees the old content or the new, never a part, whatever stops the program."""
+"""Write files and folders so that a reader sees the old content or the new, whatever stops the program."""
 
 from __future__ import annotations
 
 import contextlib
 import os
+import shutil
 import tempfile
+from collections.abc import Iterator
 from pathlib import Path
 
 from dgrasp.errors import DataError
@@ -54,3 +56,31 @@ def _sync_folder(folder: Path) -> None:
             os.fsync(handle)
         finally:
             os.close(handle)
+
+
+@contextlib.contextmanager
+def replaced_folder(path: Path) -> Iterator[Path]:
+    """Yield an empty folder; when the block ends, it takes the place of `path`, with all its files.
+
+    If the block fails, an existing folder stays as it was. Raises a `DataError` that names the path if the folder
+    cannot be written.
+    """
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        fresh = Path(tempfile.mkdtemp(dir=path.parent, prefix=f".{path.name}."))
+    except OSError as error:
+        raise DataError(f"{path}: cannot be written ({error.strerror or error})") from None
+    old = fresh.with_name(f"{fresh.name}.old")
+    try:
+        yield fresh
+        os.chmod(fresh, 0o755)
+        if os.path.lexists(path):
+            path.rename(old)
+        fresh.rename(path)
+    except OSError as error:
+        raise DataError(f"{path}: cannot be written ({error.strerror or error})") from None
+    finally:
+        shutil.rmtree(fresh, ignore_errors=True)
+        if old.is_dir() and not os.path.lexists(path):
+            old.rename(path)  # Stopped between the two renames: put the old folder back.
+        shutil.rmtree(old, ignore_errors=True)

@@ -30,8 +30,8 @@ def decoded(raw: bytes) -> str:
 def cells(text: str) -> tuple[list[str], Iterator[tuple[int, list[str]]]]:
     """The names in the first line, and the number and the cells of each other line that is not empty.
 
-    Cells are divided by commas, semicolons or tabs. Where they are not divided by commas, a comma in a number is a
-    decimal point. A column of pandas' index is left out. Raises csv.Error.
+    Cells are divided by commas, semicolons or tabs. A comma within a cell's number is a decimal point. A column of
+    pandas' index is left out. Raises csv.Error.
     """
     first, _, rest = text.partition("\n")
     given = re.fullmatch(r'"?sep=(.)"?', first.strip())
@@ -45,10 +45,10 @@ def cells(text: str) -> tuple[list[str], Iterator[tuple[int, list[str]]]]:
     def rows() -> Iterator[tuple[int, list[str]]]:
         for line in lines:
             if any(cell.strip() for cell in line):
-                yield lines.line_num, [_plain(cell.strip(), divider) for cell in line[start:]]
+                yield lines.line_num, [_plain(cell.strip()) for cell in line[start:]]
 
     return header[start:], rows()
 
 
-def _plain(cell: str, divider: str) -> str:
-    return cell.replace(",", ".") if divider != "," and _DECIMAL_COMMA.fullmatch(cell) else cell
+def _plain(cell: str) -> str:
+    return cell.replace(",", ".") if _DECIMAL_COMMA.fullmatch(cell) else cell

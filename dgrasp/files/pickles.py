@@ -11,7 +11,6 @@ from __future__ import annotations
 import io
 import pickle
 import pickletools
-import reprlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, ClassVar
@@ -106,7 +105,8 @@ def _load_bytearray(self: RestrictedUnpickler) -> None:
 
 
 def _set_items(stack: list[Any], items: list[Any]) -> None:
-    target, keys = stack[-1], items[::2]
+    # Python 3 keeps the texts of a Python 2 file as bytes, if it is told to, and writes them so again.
+    target, keys = stack[-1], [key.decode("latin1") if type(key) is bytes else key for key in items[::2]]
     if not isinstance(target, dict) or not all(map(_is_key, keys)):
         raise DataError("the pickle sets items of something else than a dictionary with keys of text and numbers")
     target.update(zip(keys, items[1::2], strict=True))
@@ -154,7 +154,7 @@ class RestrictedUnpickler(pickle._Unpickler):
             found = self.allowed[(module, name)]
         except KeyError:
             raise DataError(
-                f"the pickle asks for {reprlib.repr(f'{module}.{name}')}, which such a file never needs; "
+                f"the pickle asks for {f'{module}.{name}'[:80]!r}, which such a file never needs; "
                 "it was refused and nothing was executed; save plain dictionaries, lists, texts, numbers and arrays"
             ) from None
         return getattr(self, found) if isinstance(found, str) else found

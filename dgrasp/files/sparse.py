@@ -36,6 +36,7 @@ def names() -> Iterator[tuple[tuple[str, str], type[SparseStub]]]:
         for module in (form, f"_{form}"):
             for kind in ("matrix", "array"):
                 yield (f"scipy.sparse.{module}", f"{form}_{kind}"), stub
+        yield ("scipy.sparse._arrays", f"{form}_array"), stub  # SciPy 1.8 to 1.10
 
 
 def dense(stub: SparseStub, max_size: int) -> Array:

@@ -13,9 +13,6 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from scipy.optimize import minimize
-from scipy.spatial import ConvexHull, QhullError
-from scipy.spatial.transform import Rotation
 
 from dgrasp.errors import DataError
 from dgrasp.geometry.inertia import MassProperties, shape_properties
@@ -66,6 +63,8 @@ def fit_capsule(part: PartMesh) -> Fit:
 
 def fit_box(part: PartMesh) -> Fit:
     """The box that overlaps a part best."""
+    from scipy.spatial.transform import Rotation
+
     points, center, axes, _ = _principal(part)
     volume = part.volume
     found = []
@@ -91,6 +90,8 @@ def fit_box(part: PartMesh) -> Fit:
 
 def fit_hull(part: PartMesh, file: Path) -> tuple[Fit, PartMesh]:
     """The part's convex hull as a shape that is read from `file`, and the mesh to write there."""
+    from scipy.spatial import ConvexHull, QhullError
+
     try:
         hull = ConvexHull(part.vertices)
     except QhullError:
@@ -129,6 +130,8 @@ def _union(inside: Array, volume: float, other: float) -> float:
 
 def _climb(value: Callable[[Array], float], start: Array, steps: Array) -> tuple[Array, float]:
     """The point near `start` (K,) with the largest value, and that value: Nelder-Mead with initial steps (K,)."""
+    from scipy.optimize import minimize
+
     found = minimize(
         lambda x: -value(x), start, method="Nelder-Mead",
         options={"maxiter": 100 * len(start), "initial_simplex": np.vstack([start, start + np.diag(steps)]),
@@ -162,6 +165,8 @@ def _capsule(x: Array) -> Shape:
 
 def _box(x: Array, frame: Array) -> Shape:
     """The box of x: centre (3,), full lengths (3,) and a rotation vector (3,) relative to the columns of `frame`."""
+    from scipy.spatial.transform import Rotation
+
     size = tuple(np.maximum(np.abs(x[3:6]), _SMALLEST).tolist())
     return _placed("box", size, x[:3], frame @ Rotation.from_rotvec(x[6:9]).as_matrix())
 

@@ -57,7 +57,7 @@ def close_mesh(vertices: Array, faces: Array) -> ClosedMesh:
 
 
 def is_closed(faces: Array, n_vertices: int) -> bool:
-    """Whether the faces pass every edge equally often in both directions."""
+    """Whether the faces (F, 3) pass every edge equally often in both directions."""
     return not len(_open_edges(np.asarray(faces, dtype=np.int64), n_vertices))
 
 

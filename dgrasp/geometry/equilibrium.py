@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.optimize import linprog
 
 from dgrasp.types import Array
 
@@ -20,6 +19,8 @@ def holds_weight(points: Array, normals: Array, center: Array, up: Array, fricti
     mass. up: (3,). All are in the object's frame. The only other limit on the forces is that of their sum
     (`MAX_FORCE`).
     """
+    from scipy.optimize import linprog
+
     if len(points) == 0:
         return False
     side = np.cross(normals, np.eye(3)[np.abs(normals).argmin(axis=1)])

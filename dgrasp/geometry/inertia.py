@@ -11,11 +11,12 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from dgrasp.errors import DataError
+from dgrasp.geometry.obj_file import read_obj
 from dgrasp.types import Array
 from raisim_like.rotations import matrix_from_quaternion
 from raisim_like.shapes import Shape
@@ -122,7 +123,13 @@ def load_mesh(path: Path, scale: tuple[float, float, float] = (1.0, 1.0, 1.0)) -
             "(or use the free objects)"
         )
     try:
-        mesh = trimesh.load(path, force="mesh", skip_materials=True)
+        if path.suffix.lower() == ".obj":  # trimesh misreads negative indices.
+            vertices, faces = read_obj(path.read_bytes())
+            mesh: Any = trimesh.Trimesh(vertices, faces) if len(faces) and np.isfinite(vertices).all() else None
+        else:
+            mesh = trimesh.load(path, force="mesh", skip_materials=True)
+    except DataError as error:
+        raise DataError(f"{path}: {error}") from None
     except (ArithmeticError, AttributeError, LookupError, OSError, TypeError, ValueError) as error:
         # trimesh's parsers fail on a damaged file in many ways; to the user they are all the same.
         raise DataError(f"{path}: cannot be read as a mesh ({type(error).__name__}: {error})") from None

@@ -49,7 +49,7 @@ class Body:
         return np.stack([self.vertices.min(axis=0), self.vertices.max(axis=0)])
 
     def surface(self) -> tuple[Array, Array]:
-        """Vertices and faces of the union's surface, or of all meshes if there is no solid."""
+        """Vertices (V, 3) m and faces (F, 3) of the union's surface, or of all meshes if there is no solid."""
         if self.solid is None:
             return self.vertices, self.faces
         mesh = self.solid.to_mesh64()

@@ -24,7 +24,7 @@ class PartMesh:
 
 
 def mesh_volume(vertices: Array, faces: Array) -> float:
-    """Volume in m^3 that a closed mesh, wound outwards, encloses."""
+    """Volume in m^3 that a closed mesh, wound outwards, encloses. vertices (V, 3) m, faces (F, 3)."""
     # Relative to a vertex of the mesh, because a distant origin would cost digits.
     a, b, c = np.moveaxis(vertices[faces] - vertices[faces[0, 0]], 1, 0)
     return float((a * np.cross(b, c)).sum() / 6.0)

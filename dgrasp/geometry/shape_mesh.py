@@ -16,10 +16,10 @@ SEGMENTS = 32
 """Corners of a circle. They lie a little outside it, so that round shapes keep their volume."""
 
 
-def shape_mesh(shape: Shape) -> tuple[Array, Array]:
+def shape_mesh(shape: Shape, segments: int = SEGMENTS) -> tuple[Array, Array]:
     """Vertices (V, 3) m and faces (F, 3), wound outwards, in the frame of the shape's body.
 
-    A hull is the convex hull of its file's vertices, a mesh its file's triangles.
+    A hull is the convex hull of its file's vertices, a mesh its file's triangles. segments: corners of a circle.
     """
     import manifold3d
 
@@ -29,9 +29,9 @@ def shape_mesh(shape: Shape) -> tuple[Array, Array]:
         made = solid.cube(shape.size, True)
     elif shape.kind == "cylinder":
         radius, length = shape.size
-        made = solid.cylinder(length, _CIRCLE * radius, circular_segments=SEGMENTS, center=True)
+        made = solid.cylinder(length, _circle(segments) * radius, circular_segments=segments, center=True)
     elif shape.kind in ("sphere", "capsule"):
-        ball = solid.sphere(_ball() * shape.size[0], SEGMENTS)
+        ball = solid.sphere(_ball(segments) * shape.size[0], segments)
         length = shape.size[1] if shape.kind == "capsule" else 0.0
         made = solid.batch_hull([ball.translate((0.0, 0.0, end * length / 2)) for end in (-1.0, 1.0)])
     else:
@@ -51,16 +51,17 @@ def shapes_vertices(shapes: Iterable[Shape]) -> Array:
     return np.concatenate([shape_mesh(shape)[0] for shape in shapes])
 
 
-_CIRCLE = float(np.sqrt((2.0 * np.pi / SEGMENTS) / np.sin(2.0 * np.pi / SEGMENTS)))
-"""Radius of a polygon's corners over that of the circle of the same area."""
+def _circle(segments: int) -> float:
+    """Radius of a polygon's corners over that of the circle of the same area."""
+    return float(np.sqrt((2.0 * np.pi / segments) / np.sin(2.0 * np.pi / segments)))
 
 
 @cache
-def _ball() -> float:
+def _ball(segments: int) -> float:
     """Radius of the corners of `Manifold.sphere` over that of the ball of the same volume."""
     import manifold3d
 
-    return float((4.0 / 3.0 * np.pi / manifold3d.Manifold.sphere(1.0, SEGMENTS).volume()) ** (1.0 / 3.0))
+    return float((4.0 / 3.0 * np.pi / manifold3d.Manifold.sphere(1.0, segments).volume()) ** (1.0 / 3.0))
 
 
 def _placed(shape: Shape, vertices: Array, faces: Array) -> tuple[Array, Array]:

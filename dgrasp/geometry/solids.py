@@ -90,7 +90,7 @@ def _skinned(rings: Array, closed: bool) -> Any:
     i, j = np.meshgrid(np.arange(n if closed else n - 1), np.arange(m), indexing="ij")
     a, b = i * m + j, i * m + (j + 1) % m
     c, d = (i + 1) % n * m + j, (i + 1) % n * m + (j + 1) % m
-    faces = [np.stack([a, b, d], axis=-1).reshape(-1, 3), np.stack([a, d, c], axis=-1).reshape(-1, 3)]
+    faces: list[Array] = [np.stack([a, b, d], axis=-1).reshape(-1, 3), np.stack([a, d, c], axis=-1).reshape(-1, 3)]
     vertices = rings.reshape(-1, 3)
     if not closed:
         k, after = np.arange(m), (np.arange(m) + 1) % m

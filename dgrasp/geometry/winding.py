@@ -18,7 +18,10 @@ def winding_grid(vertices: Array, faces: Array, low: Array, pitch: float, counts
 
 
 def leaking_columns(vertices: Array, faces: Array, low: Array, pitch: float, counts: tuple[int, int, int]) -> int:
-    """How many rays enter more often than they leave, or the reverse: 0 for a closed surface."""
+    """How many rays along x enter more often than they leave, or the reverse: 0 for a closed surface.
+
+    vertices (V, 3), faces (F, 3). low (3,), pitch, counts: the grid, as in `winding_grid`.
+    """
     return int((_crossings(vertices, faces, low, pitch, counts).sum(axis=0) != 0).sum())
 
 

@@ -30,12 +30,13 @@ def fit_keypoints(hand: HandModel, T_AH: Array, hand_pose: Array, targets: Array
 
     Minimises the sum of |x_k - target_k|^2 over the key points plus |STAY * (q - q_start)|^2 over the finger angles, by
     `ITERATIONS` Levenberg-Marquardt steps with the exact Jacobian. Angles stay within the joint limits; those that
-    start outside move no farther out.
+    start outside move no farther out. Joints that follow others are tied from the start on.
     """
+    hand_pose = hand.ties.coordinates(hand_pose)
     state = _Chains(hand, T_AH[:, :3, :3].copy(), T_AH[:, :3, 3].copy(), hand_pose.copy())
     limits = hand.limits[N_WRIST:].T
     low, high = np.minimum(limits[0], hand_pose), np.maximum(limits[1], hand_pose)
-    damping = np.full(len(targets), 1e-6)
+    damping: Array = np.full(len(targets), 1e-6)
     cost = _cost(state, targets, hand_pose)
     n, size = len(targets), 3 * hand.layout.n_keypoints
     diagonal = np.arange(hand.layout.n_dof)
@@ -90,6 +91,8 @@ class _Chains:
             arm = self.joints[:, moved] - self._origins[:, None, part]
             for joint in chain.joints_of[part].tolist():
                 J[..., N_WRIST + joint][:, moved] = np.cross(axes[:, None, joint], arm)
+        if len(self.hand.ties.followers):
+            J[..., N_WRIST:] = J[..., N_WRIST:] @ self.hand.ties.matrix
         return J
 
     def moved(self, step: Array, low: Array, high: Array) -> _Chains:
@@ -97,7 +100,8 @@ class _Chains:
         from scipy.spatial.transform import Rotation
 
         R = Rotation.from_rotvec(step[:, 3:6]).as_matrix() @ self.R
-        return _Chains(self.hand, R, self.wrist + step[:, :3], np.clip(self.pose + step[:, N_WRIST:], low, high))
+        pose = self.hand.ties.coordinates(np.clip(self.pose + step[:, N_WRIST:], low, high))
+        return _Chains(self.hand, R, self.wrist + step[:, :3], pose)
 
     def where(self, chosen: Array, other: _Chains) -> _Chains:
         """The hands of `other` where chosen (N,) bool, else these."""

@@ -93,7 +93,3 @@ class HandLayout:
     def outer_parts(self) -> tuple[int, ...]:
         """The last part of each finger."""
         return tuple(finger.parts[-1] for finger in self.fingers)
-
-    def action_size(self, task: str) -> int:
-        """Size of the policy's action for an `env.task`: the wrist's joints alone for "motion", else all joints."""
-        return N_WRIST if task == "motion" else self.n_dof

@@ -64,9 +64,9 @@ def load_hand(
     layout = _layout(urdf, chain, names, side, FINGERS if is_mano else None)
     limits = urdf.joint_limits
     rest = mano_rest(side or "right") if is_mano else np.zeros(layout.n_joints)
+    rest = urdf.ties.coordinates(np.clip(np.concatenate([np.zeros(N_WRIST), rest]), *limits.T))[N_WRIST:]
     return HandModel(
-        hand_id, urdf, layout, chain, limits, part_links, np.clip(rest, *limits[N_WRIST:].T),
-        urdf.mass if weight_carried else 0.0,
+        hand_id, urdf, layout, chain, limits, part_links, rest, urdf.mass if weight_carried else 0.0
     )  # fmt: skip
 
 
@@ -91,6 +91,10 @@ def _check_wrist(path: Path, urdf: UrdfModel) -> None:
     sliding = [link.joint for link in urdf.links[N_WRIST:] if link.kind != "revolute"]
     if sliding:
         raise DataError(f"{path}: joint {sliding[0]} is prismatic; finger joints must be revolute")
+    tied = [link.joint for i, link in enumerate(urdf.links) if link.mimic and min(i, link.mimic.leader) < N_WRIST]
+    if tied:
+        raise DataError(f"{path}: joint {tied[0]} has a <mimic> with a joint of the wrist; expected finger joints "
+                        "to follow finger joints")
 
 
 def _parts(path: Path, urdf: UrdfModel) -> list[list[int]]:
@@ -114,7 +118,7 @@ def _parts(path: Path, urdf: UrdfModel) -> list[list[int]]:
 
 def _keypoints(path: Path, urdf: UrdfModel, part_links: Array, parents: Array) -> list[tuple[int, Array, str]]:
     """(part, offset in its frame, name) of each key point: the wrist, each part's origin, and each finger's tip."""
-    points = [(0, np.zeros(3), "wrist")]
+    points: list[tuple[int, Array, str]] = [(0, np.zeros(3), "wrist")]
     for part in range(1, len(part_links)):
         link = urdf.links[int(part_links[part])]
         points.append((part, np.zeros(3), link.name))

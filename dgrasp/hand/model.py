@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
 from dgrasp.hand.kinematics import Kinematics
 from dgrasp.hand.layout import N_WRIST, HandLayout
 from dgrasp.types import Array
+from raisim_like.mimic import Mimic, Ties
 from raisim_like.rotations import matrix_from_euler
 from raisim_like.urdf import UrdfModel
 
@@ -30,6 +32,12 @@ class HandModel:
     part_links: Array
     rest: Array
     carried_mass: float = 0.0
+
+    @cached_property
+    def ties(self) -> Ties:
+        """The finger joints that follow others; its indices and arrays are those of poses (J,)."""
+        mimics = [link.mimic for link in self.urdf.links[N_WRIST:]]
+        return Ties.of([m and Mimic(m.leader - N_WRIST, m.multiplier, m.offset) for m in mimics])
 
     @property
     def offsets(self) -> Array:

@@ -5,7 +5,8 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import os
-from collections.abc import Callable, Collection, Mapping, Sequence
+import shlex
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
@@ -62,9 +63,10 @@ class FileContent(NamedTuple):
 
 @dataclass(frozen=True)
 class LabelFormat:
-    """A format of label files. head: the first bytes of each, or several, of which each has one.
+    """A format of label files.
 
-    name, expected: what messages call it, and ask for.
+    head: the first bytes of its files, or several alternatives. name, expected: how messages name such a file, and how
+    they ask for one.
     """
 
     head: bytes | tuple[bytes, ...]
@@ -94,7 +96,7 @@ class LabelSet:
     """The labels of one file.
 
     labels: in the file's order. hand: id of the hand that they were made for. names: the joints, parts and key points
-    in the order of the arrays. licence: the file's terms. source: the file. sha256: of its bytes. published_as:
+    in the order of the arrays. licence: the file's terms. path: the file. sha256: of its bytes. published_as:
     (source, split) for a file of the authors' release, else None. comparable_with_paper: whether the paper's tables
     report on these labels.
     """
@@ -103,7 +105,7 @@ class LabelSet:
     hand: str
     names: HandNames
     licence: str
-    source: Path
+    path: Path
     sha256: str
     published_as: tuple[str, str] | None
     comparable_with_paper: bool
@@ -157,14 +159,14 @@ def published_as(name: str) -> tuple[str, str] | None:
 
 def select(
     labels: LabelSet, objects: Sequence[str] = (), limit_per_object: int | None = None,
-    added: Collection[str] = (),
+    added: Mapping[str, Path] | None = None,
 ) -> LabelSet:
     """Select the labels of `objects` (all if empty), at most the first `limit_per_object` of each, in their order.
 
     Objects are given as `resolve_object` takes them, or as sets (`splits.object_set`). added: those of `objects` that
-    the user added. Raises `DataError` if an object is unknown or has no label here.
+    the user added, with the folder that holds theirs. Raises `DataError` if an object is unknown or has no label here.
     """
-    there = labels.objects
+    there, added = labels.objects, added or {}
     wanted = set(there)
     if objects:
         wanted = set()
@@ -172,14 +174,16 @@ def select(
             group = object_set(name)
             if group is not None:
                 if not group.intersection(there):
-                    raise DataError(f"{labels.source}: no label of an object of {name!r}; it has {', '.join(there)}")
+                    raise DataError(f"{labels.path}: no label of an object of {name!r}; it has {', '.join(there)}")
                 wanted |= group
                 continue
             full = name if name in there or name in added else resolve_object(name)
             if full not in there:
                 known = "an object that was added" if name in added else "one of the 20 objects"
-                raise DataError(f"{labels.source}: no label of {full!r}, {known}; it has {', '.join(there)}; choose "
-                                f"one of these, or make labels with `dgrasp labels make --objects {full}`")
+                words = ["dgrasp", "labels", "make", "--objects", full, "--number", "25", "--out", f"{full}.npz"]
+                words += ["--store", str(added[name])] if name in added else []
+                raise DataError(f"{labels.path}: no label of {full!r}, {known}; it has {', '.join(there)}; choose "
+                                f"one of these, or make labels with `{shlex.join(words)}`")
             wanted.add(full)
     taken: dict[str, int] = dict.fromkeys(there, 0)
     chosen = []

@@ -57,6 +57,10 @@ class Method(Protocol):
             raise ConfigError(f"{self.name} is for task {self.task}, but the config has env.task={config.env.task}; "
                               "expected the policy's own config: its --run, or --cfg RUN/config.yaml")
 
+    def differences(self, data: Mapping[str, Any]) -> list[str]:
+        """In what the method is not the paper's on this data (`DataChoice.stamp`), such as what it was trained on."""
+        return []
+
     def prepare(self, spec: PoolSpec, bodies: Bodies) -> PoolSpec:
         """The specification to simulate. A method may change it, for example correct the labels."""
         return spec

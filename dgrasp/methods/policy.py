@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, ClassVar
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from dgrasp.config.sections import MotionConfig
 from dgrasp.files.typed import typed
@@ -16,7 +17,8 @@ if TYPE_CHECKING:
 class PolicyMethod(Method):
     """A trained policy that acts without exploration noise from the start of the approach (paper, section 4.4).
 
-    cfg, cfg_keys: the config and the keys with which train.py trains such a policy.
+    cfg, cfg_keys: the config and the keys with which train.py trains such a policy. trained_on: the record of the data
+    that it was trained on (`DataChoice.stamp`); None if it is unknown.
     """
 
     name = "policy"
@@ -24,8 +26,8 @@ class PolicyMethod(Method):
     cfg: ClassVar[str] = "cfg/dexycb.yaml"
     cfg_keys: ClassVar[tuple[str, ...]] = ()
 
-    def __init__(self, policy: Policy) -> None:
-        self.policy = policy
+    def __init__(self, policy: Policy, trained_on: Mapping[str, Any] | None = None) -> None:
+        self.policy, self.trained_on = policy, trained_on
 
     @classmethod
     def train_command(cls) -> str:
@@ -37,6 +39,24 @@ class PolicyMethod(Method):
         """Whether its environments or the choice of its labels need the frozen policy `motion.policy`."""
         return False
 
+    def differences(self, data: Mapping[str, Any]) -> list[str]:
+        """The policy's own hand if it is another one; its training data if that alone is not the paper's."""
+        on = self.trained_on
+        if on is None:
+            return []
+        if on.get("hand") != data["hand"]:
+            return [f"the policy was trained for the hand {_shown(on.get('hand'))}, not {_shown(data['hand'])}"]
+        trained_like_the_paper = on.get("comparable_with_paper") and on.get("split", "train") == "train"
+        if data["comparable_with_paper"] and not trained_like_the_paper:
+            used = ", ".join(f"{key} {_shown(on[key])}" for key in ("labels", "inertia") if key in on)
+            return [f"the policy was trained on other data than the paper's ({used})"]
+        return []
+
     def act(self, observation: Array) -> Array:
         """Actions (N, A): the means of the policy."""
         return self.policy.act(observation)
+
+
+def _shown(name: Any) -> str:
+    """A name from a policy's file, which may hold anything, on one short line."""
+    return " ".join(ascii(name).strip("'").split())[:60]

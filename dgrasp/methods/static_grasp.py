@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -46,6 +47,10 @@ class StaticGrasp(Method):
         if self.task != "grasp":
             raise ConfigError(f"--baseline static_grasp: a policy of task {self.task} makes no grasp to hold; expected "
                               "a grasping policy")
+
+    def differences(self, data: Mapping[str, Any]) -> list[str]:
+        """Those of the method that makes the grasps."""
+        return self.grasp.differences(data)
 
     def fingers(self, motion: MotionConfig) -> Fingers:
         """The fingers hold their pose or their last PD targets."""

@@ -30,6 +30,8 @@ META_FILE, MESH_FILE, PICTURE_FILE = "object.json", "mesh.obj", "picture.png"
 FORMAT, SCHEMA = "dgrasp-object", 1
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.+-]{0,99}")
 """Names that label files accept."""
+_LEAST_RADIUS = 1e-5
+"""m. Least radius of gyration. A wire of 0.1 mm has 0.025 mm."""
 _SIZES = {"box": 3, "cylinder": 2, "capsule": 2, "sphere": 1, "hull": 0, "mesh": 0}
 
 
@@ -63,7 +65,8 @@ def find_object(name: str, folders: Sequence[Path]) -> StoredObject:
     there = sorted({path.parent.name for path in found})
     raise DataError(f"unknown object {name!r}: not one of the 20, and not in {' or '.join(map(str, folders))} (there: "
                     f"{', '.join(there[:20]) or 'nothing'}){nearest(name, [*there, *YCB_NAMES.values()])}; add its "
-                    f"mesh with `dgrasp object add MESH --name {name}`, or name its folder with objects=DIR")
+                    f"mesh with `dgrasp object add MESH --name {name}`, or name its folder with objects=DIR "
+                    "(labels check, labels make: --store DIR)")
 
 
 def load_object(folder: Path, official_compat: bool, parts: bool = False) -> ObjectModel:
@@ -93,8 +96,9 @@ def read_meta(folder: Path) -> dict[str, Any]:
         raise DataError(f"{path}: not the description of an object (format {FORMAT!r}, schema {SCHEMA}); {again}")
     try:
         _check(meta, folder)
-    except (AttributeError, LookupError, TypeError, ValueError):
-        raise DataError(f"{path}: the description is incomplete or has values out of range; {again}") from None
+    except (AttributeError, LookupError, TypeError, ValueError) as error:
+        why = f" ({error})" if isinstance(error, _NoBodyError) else ""
+        raise DataError(f"{path}: the description is incomplete or has values out of range{why}; {again}") from None
     if meta["id"] != object_id(meta):
         raise DataError(f"{path}: was changed after the object was added (its id no longer matches mass, shapes and "
                         f"files); {again}")
@@ -122,7 +126,16 @@ def _check(meta: dict[str, Any], folder: Path) -> None:
     _require(NAME.fullmatch(meta["name"]) and meta["name"] == folder.absolute().name and isinstance(meta["id"], str))
     _require(all(NAME.fullmatch(name) and isinstance(digest, str) for name, digest in files.items()))
     _require(MESH_FILE in files and meta["shapes"])
-    check_mass(meta["mass_kg"], np.array(meta["center_of_mass_O"], dtype=float), np.array(meta["inertia"], dtype=float))
+    mass, center, inertia = meta["mass_kg"], np.array(meta["center_of_mass_O"]), np.array(meta["inertia"])
+    check_mass(mass, center.astype(float), inertia.astype(float))
+    low, high = np.array(meta["figures"]["bounds_m"], dtype=float)
+    if ((center < low - 1e-6) | (center > high + 1e-6)).any():
+        raise _NoBodyError(f"the centre of mass {center.tolist()} lies outside the object")
+    least, most = mass * _LEAST_RADIUS**2, mass * float(((high - low) ** 2).sum())
+    for moment in np.linalg.eigvalsh(inertia):
+        if not least <= moment <= most:
+            raise _NoBodyError(f"a principal moment of {moment:.3g} kg m^2; expected {least:.3g} to {most:.3g} for "
+                               f"{mass:g} kg of this size")
     for entry in meta["shapes"]:
         kind, size = entry["kind"], entry["size"]
         _require(len(size) == _SIZES[kind] and len(entry["position"]) == 3 and len(entry["quaternion"]) == 4)
@@ -131,26 +144,30 @@ def _check(meta: dict[str, Any], folder: Path) -> None:
         _require(entry["file"] in files if kind in ("hull", "mesh") else "file" not in entry)
 
 
+class _NoBodyError(ValueError):
+    """Mass properties that no body has. The message is for users."""
+
+
 def _require(ok: object) -> None:
     if not ok:
         raise ValueError("out of range")
 
 
 def check_mass(mass: float, center: Array, inertia: Array) -> None:
-    """Raise a `ValueError`, with the reason, unless a body can have these properties.
+    """Raise a `ValueError`, with the reason, unless a body of some size can have these properties.
 
     mass: kg. center: (3,) m. inertia: (3, 3) kg m^2 about the centre of mass.
     """
     if not (math.isfinite(mass) and 1e-4 <= mass <= 100.0):
-        raise ValueError(f"a mass of {mass:g} kg; expected 0.1 g to 100 kg")
+        raise _NoBodyError(f"a mass of {mass:g} kg; expected 0.1 g to 100 kg")
     if center.shape != (3,) or not np.isfinite(center).all():
-        raise ValueError("the centre of mass is not three finite numbers")
+        raise _NoBodyError("the centre of mass is not three finite numbers")
     if inertia.shape != (3, 3) or not np.isfinite(inertia).all() or np.abs(inertia - inertia.T).max() > 1e-12:
-        raise ValueError("the inertia is not a symmetric matrix of finite numbers")
+        raise _NoBodyError("the inertia is not a symmetric matrix of finite numbers")
     low, middle, high = np.linalg.eigvalsh(inertia)
     if low <= 0.0 or high > (low + middle) * (1.0 + 1e-6):
-        raise ValueError(f"no body has the principal moments {low:.3g}, {middle:.3g}, {high:.3g} kg m^2: each is "
-                         "positive and at most the sum of the others")
+        raise _NoBodyError(f"no body has the principal moments {low:.3g}, {middle:.3g}, {high:.3g} kg m^2: each is "
+                           "positive and at most the sum of the others")
 
 
 def plain_shape(shape: Shape) -> dict[str, Any]:

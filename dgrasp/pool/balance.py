@@ -36,6 +36,9 @@ def stretches(cost: Array, workers: int) -> list[slice]:
 
 
 def imbalance(cost: Array, rows: list[slice]) -> float:
-    """How much longer the busiest worker takes than the mean, as a fraction of the mean; 0 is perfect balance."""
+    """How much longer the busiest worker takes than the mean, as a fraction of the mean; 0 is perfect balance.
+
+    cost: (N,) of each environment. rows: the environments of each worker.
+    """
     loads = np.array([cost[part].sum() for part in rows])
     return float(loads.max() / loads.mean() - 1.0)

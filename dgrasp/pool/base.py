@@ -20,6 +20,11 @@ from dgrasp.rl.step import Step
 from dgrasp.rl.vec_env import VecEnv
 from dgrasp.types import Array, GraspLabel, SceneState
 
+POLL_S = 0.2
+"""Interval (s) at which a pool checks the progress of a collection."""
+LOSSES_IN_A_ROW = 3
+"""After this many losses of a worker without a success in between, a pool gives up."""
+
 
 class PoolError(DGraspError):
     """A worker failed permanently; the message holds its traceback or the reason."""
@@ -67,7 +72,7 @@ class SizedPool:
         self.num_envs = len(spec.labels)
         self.names = tuple(label.name for label in spec.labels)
         env, self.hand = spec.config.env, spec.hand.layout
-        self.action_size = self.hand.action_size(env.task)
+        self.action_size = ENVS[env.task].actions(self.hand)
         layer = FeatureLayer(env, self.hand)
         self.observation_size, self.actor_size = layer.size, layer.actor_size
         self.reward_terms = Reward(env.reward, self.hand, env.task).names

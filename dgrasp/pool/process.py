@@ -29,17 +29,13 @@ import numpy as np
 from dgrasp.control.motion import Fingers
 from dgrasp.env.grasp_env import Mode
 from dgrasp.pool.balance import costs, imbalance, stretches
-from dgrasp.pool.base import PoolError, PoolSpec, SizedPool, WorkerLost
+from dgrasp.pool.base import LOSSES_IN_A_ROW, POLL_S, PoolError, PoolSpec, SizedPool, WorkerLost
 from dgrasp.pool.starting import check_main, lost_at_start, single_threaded
 from dgrasp.pool.worker import FAILED, QUIT, STEP, Shared, Told, shared_arrays, work
 from dgrasp.rl.collect import Actor, Trajectories
 from dgrasp.rl.step import Layout, Step
 from dgrasp.types import Array
 
-_POLL_S = 0.2
-"""Interval (s) at which the main process checks the progress of a collection."""
-_LOSSES_IN_A_ROW = 3
-"""After this many losses of a worker without a success in between, the pool gives up."""
 BALANCE_AFTER = (1, 10, 100)
 """Numbers of collections after which costs are compared; grasps cost more as the policy learns to make them."""
 WORTH_MOVING = 0.03
@@ -103,7 +99,7 @@ class ProcessPool(SizedPool):
         return _Member(process, ours)
 
     def _send_spec(self, w: int) -> None:
-        # Not an argument of the process: to hand those over blocks for good where the process ends before it reads.
+        # Not an argument of the process: passing one blocks forever if the process ends before it reads it.
         with suppress(OSError):
             self._members[w].connection.send(self._spec)
 
@@ -171,7 +167,7 @@ class ProcessPool(SizedPool):
         counts, told = self._shared.counts, 0
         last, moved = counts.copy(), [time.monotonic()] * self._workers
         while waiting:
-            ready = wait([self._members[w].connection for w in waiting], timeout=_POLL_S)
+            ready = wait([self._members[w].connection for w in waiting], timeout=POLL_S)
             now = time.monotonic()
             for w in sorted(waiting):
                 if counts[w] != last[w]:
@@ -272,7 +268,7 @@ class ProcessPool(SizedPool):
         """Replace a worker by a new one with the same environments; `PoolError` after too many losses in a row."""
         losses = self._members[w].losses + 1
         _end(self._members[w], patience_s=0.0)
-        if losses >= _LOSSES_IN_A_ROW:
+        if losses >= LOSSES_IN_A_ROW:
             raise PoolError(f"worker {w} was lost {losses} times in a row; is there enough memory for its worlds?")
         self._members[w] = self._new_member(w)
         self._members[w].losses = losses

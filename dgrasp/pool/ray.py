@@ -23,7 +23,7 @@ import numpy as np
 from dgrasp.control.motion import Fingers
 from dgrasp.env.grasp_env import Mode
 from dgrasp.errors import ConfigError
-from dgrasp.pool.base import PoolError, PoolSpec, SizedPool, WorkerLost
+from dgrasp.pool.base import LOSSES_IN_A_ROW, POLL_S, PoolError, PoolSpec, SizedPool, WorkerLost
 from dgrasp.pool.ray_worker import Collected, RayWorker, Stepped
 from dgrasp.pool.worker import Told
 from dgrasp.rl.collect import Actor, Trajectories
@@ -31,11 +31,8 @@ from dgrasp.rl.step import Step
 from dgrasp.scene.state import copy_state, state_views
 from dgrasp.types import Array
 
-_POLL_S = 0.2
 _SAY_AFTER_S = 30.0
 """Time (s) after which the pool reports that it is waiting for a busy cluster."""
-_LOSSES_IN_A_ROW = 3
-"""After this many losses of a worker without a success in between, the pool gives up."""
 _ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
 
 
@@ -134,7 +131,7 @@ class RayPool(SizedPool):
         started, took = time.monotonic(), list[float]()
         try:
             while pending:
-                done, _ = self._ray.wait(list(pending), num_returns=1, timeout=_POLL_S)
+                done, _ = self._ray.wait(list(pending), num_returns=1, timeout=POLL_S)
                 now = time.monotonic() - started
                 for answer in done:
                     w = pending.pop(answer)
@@ -143,7 +140,7 @@ class RayPool(SizedPool):
                         advance(int(self._trajectories.part(self._rows[w]).valid.sum()) * steps)
                 # A worker is late once it exceeds `patience` times the median of those that have finished.
                 half = len(took) >= max(1, (len(asked) + 1) // 2)
-                if half and now > max(self._config.patience * statistics.median(took), _POLL_S):
+                if half and now > max(self._config.patience * statistics.median(took), POLL_S):
                     break
         finally:
             for answer, w in pending.items():
@@ -189,7 +186,7 @@ class RayPool(SizedPool):
         self._events.append(f"worker {w} {why}")
         self._losses[w] += 1
         self._lost += 1
-        if self._losses[w] >= _LOSSES_IN_A_ROW:
+        if self._losses[w] >= LOSSES_IN_A_ROW:
             times = self._losses[w]
             raise PoolError(f"worker {w} was lost {times} times in a row; is there enough memory for its worlds?")
         with suppress(self._ray.exceptions.RayError):

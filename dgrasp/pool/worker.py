@@ -35,7 +35,8 @@ def shared_arrays(layout: Layout, name: str | None = None) -> tuple[SharedMemory
     """Named arrays in one block of shared memory: a new block, or the existing block `name`."""
     sizes = {key: int(np.prod(shape)) * np.dtype(kind).itemsize for key, (shape, kind) in layout.items()}
     memory = SharedMemory(name=name) if name else _new_memory(sum(sizes.values()))
-    arrays, offset = {}, 0
+    arrays: dict[str, Array] = {}
+    offset = 0
     for key, (shape, kind) in layout.items():
         arrays[key] = np.ndarray(shape, kind, buffer=memory.buf, offset=offset)
         offset += sizes[key]
@@ -43,13 +44,13 @@ def shared_arrays(layout: Layout, name: str | None = None) -> tuple[SharedMemory
 
 
 def _new_memory(size: int) -> SharedMemory:
-    """Shared memory of so many bytes, zeros, all of which can be written to; `PoolError` where there is not as much."""
+    """Shared memory of `size` bytes, all zero and all allocated; `PoolError` if there is not enough."""
     memory = None
     try:
         memory = SharedMemory(create=True, size=size)
         file = f"/dev/shm/{memory.name}"
         if hasattr(os, "posix_fallocate") and os.path.exists(file):
-            # Linux gives out pages when they are written to, and kills a process for which there are none.
+            # Linux allocates a page when it is first written to, and kills the process if there is none.
             handle = os.open(file, os.O_RDWR)
             try:
                 os.posix_fallocate(handle, 0, size)
@@ -60,7 +61,7 @@ def _new_memory(size: int) -> SharedMemory:
         if memory is not None:
             memory.close()
             memory.unlink()
-        raise PoolError(f"{size / 2**20:.1f} MiB of shared memory for the workers cannot be had "
+        raise PoolError(f"{size / 2**20:.1f} MiB of shared memory for the workers cannot be allocated "
                         f"({error.strerror or error}); give this machine or container more (its /dev/shm), set "
                         "pool.kind=serial, or take fewer labels: labels.objects, labels.limit_per_object") from None
 

@@ -103,7 +103,7 @@ def held(times: Array, shares: Mapping[str, Array], paper: float | None) -> str:
         parts += [_line(left, y, left + inner, y, "grid"), _text(left - 8, y + 4, f"{share:g}", "end muted small")]
     spacing = _nice(end / 5.0)
     for tick in np.arange(0.0, end + 1e-9, spacing):
-        parts.append(_text(left + inner * tick / end, top + tall + 18, f"{tick:g}", "mid muted small"))
+        parts.append(_text(left + inner * float(tick) / end, top + tall + 18, f"{tick:g}", "mid muted small"))
     parts.append(_text(left + inner / 2, height - 4, "seconds after the table was taken away", "mid muted small"))
 
     def path(values: Array, kind: str, said: str) -> str:

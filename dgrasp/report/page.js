@@ -14,6 +14,7 @@
     return;
   }
   const slider = find("scrub"), play = find("play"), speed = find("speed"), box = find("viewer");
+  const shapes = find("shapes");
   const thumbs = [...document.querySelectorAll("button.thumb")];
   const state = { at: 0, frame: 0, playing: false, dirty: true, hovered: null, hoverFrame: 0 };
   const view = { yaw: 0, pitch: 0.35, zoom: 1 };
@@ -22,13 +23,24 @@
   function readColors() {
     const style = getComputedStyle(document.documentElement);
     const rgba = (name) => style.getPropertyValue(name).trim().split(/[\s,]+/).map(Number);
-    colors = Object.fromEntries(["hand", "contact", "object", "table", "shadow"].map((k) => [k, rgba(`--gl-${k}`)]));
+    colors = Object.fromEntries(["hand", "contact", "object", "table", "shadow", "ghost", "edge"].map((k) =>
+      [k, rgba(`--gl-${k}`)]));
+    redraw();
+  }
+
+  function redraw() {
     thumbs.forEach(drawThumb);
     state.dirty = true;
   }
 
+  function setShapes(on) {
+    shapes.checked = on && scene.shapes !== null;
+    find("ghost-key").hidden = !shapes.checked;
+    redraw();
+  }
+
   const current = () => scene.replays[state.at];
-  const homeView = (r) => ({ yaw: r.yaw, pitch: 0.35, zoom: 1 });
+  const homeView = (r) => ({ yaw: r.yaw, pitch: 0.35, zoom: r.zoom });
 
   function fit(canvas) {
     const ratio = Math.min(window.devicePixelRatio || 1, 2);
@@ -49,14 +61,14 @@
     const r = scene.replays[Number(button.dataset.replay)], canvas = button.querySelector("canvas");
     fit(canvas);
     const frame = state.hovered === button ? state.hoverFrame : telling(r);
-    draw(canvas, scene, r, frame, { ...homeView(r), zoom: 1.25 }, colors);
+    draw(canvas, scene, r, frame, { ...homeView(r), zoom: 1.25 * r.zoom }, colors, shapes.checked);
   }
 
   function show() {
     const r = current(), frame = Math.min(state.frame, r.n - 1);
     const t = Replays.seconds(r, frame), loss = Replays.lossFrame(r);
     fit(stage);
-    draw(stage, scene, r, frame, view, colors);
+    draw(stage, scene, r, frame, view, colors, shapes.checked);
     slider.value = frame;
     find("time").textContent = `${t < 0 ? "\u2212" : "+"}${Math.abs(t).toFixed(2)} s`;
     const lost = loss !== null && frame > loss + 0.5;
@@ -153,10 +165,13 @@
     if (e.key in keys) scrub(Math.round(state.frame) + keys[e.key]);
     else if (e.key === "Escape") full(false);
     else if (e.key === " " && e.target === stage) setPlaying(!state.playing);
+    else if (e.key === "s" && !e.ctrlKey && !e.metaKey && !e.altKey) setShapes(!shapes.checked);
     else return;
     e.preventDefault();
   });
   slider.addEventListener("input", () => scrub(Number(slider.value)));
+  shapes.addEventListener("change", () => setShapes(shapes.checked));
+  document.querySelectorAll(".of-shapes").forEach((e) => { e.hidden = scene.shapes === null; });
   play.addEventListener("click", () => setPlaying(!state.playing));
   find("home").addEventListener("click", () => { Object.assign(view, homeView(current())); state.dirty = true; });
   find("full").addEventListener("click", () => full(!box.classList.contains("full")));
@@ -165,7 +180,7 @@
     button.addEventListener("pointerenter", () => { state.hovered = button; state.hoverFrame = 0; });
     button.addEventListener("pointerleave", () => { state.hovered = null; drawThumb(button); });
   });
-  new ResizeObserver(() => { state.dirty = true; thumbs.forEach(drawThumb); }).observe(document.body);
+  new ResizeObserver(redraw).observe(document.body);
   // Redraw at once; otherwise the old picture is shown stretched until the next tick.
   new ResizeObserver(show).observe(stage);
   matchMedia("(prefers-color-scheme: dark)").addEventListener("change", readColors);
@@ -176,6 +191,7 @@
     if ("yaw" in wanted) view.yaw = wanted.yaw * rad;
     if ("pitch" in wanted) view.pitch = Math.max(-0.15, Math.min(1.5, wanted.pitch * rad));
     if ("zoom" in wanted && wanted.zoom > 0) view.zoom = wanted.zoom;
+    if ("shapes" in wanted) setShapes(wanted.shapes > 0);
     if ("full" in wanted) full(wanted.full > 0);
     if ("t" in wanted) scrub(wanted.t * (current().n - 1));
     state.dirty = true;
@@ -208,6 +224,7 @@
 
   select(0);
   readColors();
+  setShapes(shapes.checked);
   setPlaying(!matchMedia("(prefers-reduced-motion: reduce)").matches);
   follow(location.hash);
   show();

@@ -27,10 +27,10 @@ _METHODS = {"gt_pd": "PD control holds the pose of each label.", "policy": "A tr
 
 def write_report(
     path: Path, result: Result, records: Sequence[EpisodeRecord], meshes: Mapping[str, DisplayMeshes],
-    extra: Mapping[str, Any] | None = None,
+    extra: Mapping[str, Any] | None = None, shapes: bool = False,
 ) -> None:
     """Write `html_text` atomically."""
-    write_atomic(path, html_text(result, records, meshes, extra))
+    write_atomic(path, html_text(result, records, meshes, extra, shapes))
 
 
 def shown_episodes(result: Result, records: Sequence[EpisodeRecord]) -> list[tuple[str, EpisodeRecord, dict[str, Any]]]:
@@ -43,12 +43,12 @@ def shown_episodes(result: Result, records: Sequence[EpisodeRecord]) -> list[tup
 
 def html_text(
     result: Result, records: Sequence[EpisodeRecord], meshes: Mapping[str, DisplayMeshes],
-    extra: Mapping[str, Any] | None = None,
+    extra: Mapping[str, Any] | None = None, shapes: bool = False,
 ) -> str:
     """The HTML of the page.
 
     records: the records of the result's rows, in their order. meshes: by object, at least for the objects of
-    `shown_episodes`. extra: further entries of the JSON.
+    `shown_episodes`. extra: further entries of the JSON. shapes: whether the replays begin with the collision shapes.
     """
     dt = records[0].dt
     shown = shown_episodes(result, records)
@@ -57,7 +57,7 @@ def html_text(
     sections = [
         _head(result),
         _figures(result),
-        replays_section(shown) if data else "",
+        replays_section(shown, shapes) if data else "",
         _section("bars", "By object" + (", beside the paper" if result.paper else ""),
                  _key(result) + f'<div class="scroll">{charts.bars(result)}</div>'),
         _window(result, dt) if "success" in result.mean_over_labels else "",
@@ -108,14 +108,13 @@ def _head(result: Result) -> str:
     facts = {
         "Engine": result.engine, "Window": f"{result.window_s:g} s",
         "Labels": f"{result.n_labels}, of {len(result.per_object)} objects ({labels})", "Hand": data.get("hand"),
+        "Inertia": output.inertia(result),
         "Seed": result.seed, "Code": str(result.commit)[:12], "Licence": data.get("licence"),
     }
     items = "".join(f"<div><dt>{name}</dt><dd>{escape(str(value))}</dd></div>"
                     for name, value in facts.items() if value)
     split = f"{data.get('source')} {data.get('split')}" if data.get("source") != "file" else labels
-    notice = ""
-    if not data.get("comparable_with_paper"):
-        notice = f'<p class="notice">{escape(output.NOT_COMPARABLE.capitalize())}.</p>'
+    notice = "".join(f'<p class="notice">{escape(line[0].upper() + line[1:])}.</p>' for line in output.notices(result))
     task = f"The table is taken away, and the object must stay in the hand for {result.window_s:g} s."
     if result.motion is not None:
         task = "The wrist then carries the object to its targets."
@@ -162,8 +161,11 @@ def _kinds(found: Mapping[str, int]) -> str:
             f"<tbody>{rows}</tbody></table>")
 
 
-def replays_section(shown: Sequence[tuple[str, EpisodeRecord, dict[str, Any]]]) -> str:
-    """The viewer, and a button for each episode (group, record, row), in the order of `replay.pack`."""
+def replays_section(shown: Sequence[tuple[str, EpisodeRecord, dict[str, Any]]], shapes: bool = False) -> str:
+    """The viewer, and a button for each episode (group, record, row), in the order of `replay.pack`.
+
+    shapes: whether the viewer begins with the collision shapes.
+    """
     thumbs: dict[str, list[str]] = {}
     for place, (group, _, row) in enumerate(shown):
         said = replay.told(row)
@@ -194,15 +196,18 @@ are below.</p>
 <div class="corner"><button id="home" title="Return to the initial view">Reset view</button>
 <button id="full" title="Fill the window (Escape to leave)">Full window</button></div>
 <p class="legend"><span><i class="gl-hand"></i>hand</span><span><i class="gl-contact"></i>part in contact</span>
-<span><i class="gl-object"></i>object</span></p></div>
+<span><i class="gl-object"></i>object</span><span id="ghost-key" hidden><i class="gl-ghost"></i>surface</span></p></div>
 <div class="controls"><button id="play" aria-label="Play"></button>
 <div class="timeline"><input type="range" id="scrub" min="0" max="1" step="any" value="0" aria-label="Time">
 <i id="mark-table" ></i><i id="mark-loss" title="lost"></i></div>
 <output id="time"></output><output id="phase"></output>
 <label>speed <select id="speed"><option value="0.1">0.1\u00d7</option><option value="0.25">0.25\u00d7</option>
 <option value="0.5">0.5\u00d7</option><option value="1" selected>1\u00d7</option>
-<option value="2">2\u00d7</option></select></label></div></div>
-<p class="hint">Drag to rotate, pinch or scroll (after a click) to zoom, arrow keys for single steps, space to play.</p>
+<option value="2">2\u00d7</option></select></label>
+<label class="of-shapes" title="What the physics collides (key s)"><input type="checkbox" id="shapes"
+autocomplete="off"{" checked" if shapes else ""}> collision shapes</label></div></div>
+<p class="hint">Drag to rotate, pinch or scroll (after a click) to zoom, arrow keys for single steps, space to play<span
+class="of-shapes">, s to see the collision shapes</span>.</p>
 {strips}""")
 
 

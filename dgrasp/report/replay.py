@@ -1,5 +1,7 @@
 """Replays for the page's viewer: choose the episodes, and pack meshes and poses as base64 of 16-bit numbers.
 
+`hand` and `objects` have meshes of the surfaces; `shapes` has the same of the collision shapes, or is null if a stored
+sequence lacks them.
 A mesh: `v` (V x 3, uint16) are vertices, vertex = `lo` (3,) + `step` * v, m; `f` (F x 3, uint16) are faces.
 A replay of n frames: `p` (n x B x 3, uint16) are positions, unpacked with the replay's own `lo` and `step`; `q` (n x B
 x 4, int16) are quaternions w, x, y, z times 32767; `c` (n, uint32) has a bit for each part, set if it touches the
@@ -18,7 +20,7 @@ import numpy as np
 from dgrasp.eval.summary import Row
 from dgrasp.scene.scene import LOWERED_TOP, TABLE_TOP
 from dgrasp.types import Array, EpisodeRecord
-from dgrasp.view.camera import viewpoint
+from dgrasp.view.camera import DISTANCE, viewpoint
 from dgrasp.view.meshes import DisplayMeshes, Mesh, blendable, body_poses
 
 SHOWN = 10
@@ -63,10 +65,10 @@ def pack(
     shown: Sequence[tuple[str, EpisodeRecord, Row]], meshes: Mapping[str, DisplayMeshes]
 ) -> dict[str, Any]:
     """The page's data for episodes (group, record, row), with the meshes of their objects; plain JSON values."""
-    first = next(iter(meshes.values()))
+    shapes = {name: of.colliding() for name, of in meshes.items() if of.shapes}
     return {
-        "hand": [_mesh(part) for part in first.hand],
-        "objects": {name: _mesh(of.object) for name, of in meshes.items()},
+        **_bodies(meshes),
+        "shapes": _bodies(shapes) if len(shapes) == len(meshes) else None,
         "table": {"on": TABLE_TOP, "lowered": LOWERED_TOP},
         "replays": [_replay(group, record, row, meshes[record.label.object_id]) for group, record, row in shown],
     }
@@ -80,7 +82,7 @@ def _replay(group: str, record: EpisodeRecord, row: Row, meshes: DisplayMeshes) 
         q = np.concatenate([q, blendable(T_WG[:, None, :3, :3])], axis=1)
         t = np.concatenate([t, T_WG[:, None, :3, 3]], axis=1)
     t = np.clip(t, t[0, 0] - REACH, t[0, 0] + REACH)
-    target, yaw = viewpoint(record)
+    view = viewpoint(record)
     lo, step, places = _quantised(t)
     touching = np.asarray(record.contacts)[::stride] > 0.0
     bits = touching @ (1 << np.arange(touching.shape[1]))
@@ -91,10 +93,18 @@ def _replay(group: str, record: EpisodeRecord, row: Row, meshes: DisplayMeshes) 
         "metrics": {name: row[name] for name in shown if name in row},
         "n": len(t), "bodies": t.shape[1], "dt": record.dt * stride, "start": (record.window_start - 1) / stride,
         "stays": record.table_stays,
-        "yaw": round(yaw, 3), "target": [round(float(x), 4) for x in target],
+        "yaw": round(view.yaw, 3), "target": [round(float(x), 4) for x in view.target],
+        "zoom": round(DISTANCE / view.distance, 3),
         "lo": lo, "step": step, "p": _text(places, "<u2"), "q": _text(np.rint(q * 32767.0), "<i2"),
         "c": _text(bits, "<u4"),
     }  # fmt: skip
+
+
+def _bodies(meshes: Mapping[str, DisplayMeshes]) -> dict[str, Any]:
+    """The hand's parts, which are the same for all objects, and the objects."""
+    first = next(iter(meshes.values()))
+    return {"hand": [_mesh(part) for part in first.hand],
+            "objects": {name: _mesh(of.object) for name, of in meshes.items()}}
 
 
 def _mesh(mesh: Mesh) -> dict[str, Any]:

@@ -1,11 +1,12 @@
 "use strict";
 // The replay viewer of the report. One WebGL 2 context draws every picture, which is then copied to its canvas.
-// The URL's hash sets the view, such as #replay=2&t=0.5&yaw=30&pitch=20&zoom=1.5&full=1 (t: fraction of the timeline).
+// The URL's hash sets the view, such as #replay=2&t=0.5&yaw=30&pitch=20&zoom=1.5&full=1&shapes=1 (t:
+// fraction of the timeline).
 
 const Replays = (() => {
   // ---- data ------------------------------------------------------------------------------------------------------
   const bytes = (text) => Uint8Array.from(atob(text), (c) => c.charCodeAt(0));
-  const CREASE = Math.cos((38 * Math.PI) / 180);
+  const CREASE = Math.cos((38 * Math.PI) / 180), OUTLINE = Math.cos((24 * Math.PI) / 180);
 
   // Triangles with a normal at each corner; shading is smooth across nearly flat edges and sharp across others.
   function geometry(mesh) {
@@ -40,16 +41,37 @@ const Replays = (() => {
     return { positions, normals, count };
   }
 
+  // The edges of a mesh at which its faces turn by more than 24 degrees, so that round shapes have none on their sides.
+  function outline(g) {
+    const ends = new Map(), lines = [];
+    const corner = (c) => Array.from(g.positions.subarray(3 * c, 3 * c + 3));
+    for (let f = 0; f < g.count; f += 3) {
+      const [a, b, c] = [corner(f), corner(f + 1), corner(f + 2)];
+      const e = a.map((v, k) => b[k] - v), h = a.map((v, k) => c[k] - v);
+      const n = [e[1] * h[2] - e[2] * h[1], e[2] * h[0] - e[0] * h[2], e[0] * h[1] - e[1] * h[0]];
+      const size = Math.hypot(...n) || 1;
+      for (const pair of [[a, b], [b, c], [c, a]]) {
+        const key = pair.map(String).sort().join();
+        if (!ends.has(key)) ends.set(key, { pair, normals: [] });
+        ends.get(key).normals.push(n.map((v) => v / size));
+      }
+    }
+    for (const { pair, normals: [m, n] } of ends.values()) {
+      if (!n || m[0] * n[0] + m[1] * n[1] + m[2] * n[2] < OUTLINE) lines.push(...pair[0], ...pair[1]);
+    }
+    return { positions: new Float32Array(lines), normals: new Float32Array(lines.length), count: lines.length / 3 };
+  }
+
   function decode(data) {
-    const objects = {};
-    for (const name in data.objects) objects[name] = geometry(data.objects[name]);
+    const bodies = ({ hand, objects }) => ({ hand: hand.map(geometry),
+      objects: Object.fromEntries(Object.entries(objects).map(([name, mesh]) => [name, geometry(mesh)])) });
     const replays = data.replays.map((r) => ({
       ...r,
       p: new Uint16Array(bytes(r.p).buffer),
       q: new Int16Array(bytes(r.q).buffer),
       c: new Uint32Array(bytes(r.c).buffer),
     }));
-    return { hand: data.hand.map(geometry), objects, replays, table: data.table };
+    return { ...bodies(data), shapes: data.shapes && bodies(data.shapes), replays, table: data.table };
   }
 
   // The pose of a body at a frame, interpolated between recorded frames: a 4 x 4 matrix in column-major order.
@@ -136,7 +158,7 @@ const Replays = (() => {
       vec3 base = pow(color.rgb, vec3(2.2));
       float sky = 0.5 + 0.5 * N.z, key = max(dot(N, L), 0.0), front = max(dot(N, V), 0.0);
       vec3 c = base * (0.2 + 0.22 * sky + 0.62 * key + 0.2 * front) + 0.05 * pow(max(dot(N, H), 0.0), 40.0);
-      o = vec4(pow(c, vec3(1.0 / 2.2)), 1.0);
+      o = vec4(pow(c, vec3(1.0 / 2.2)) * color.a, color.a);
     }`;
 
   function painter() {
@@ -174,19 +196,38 @@ const Replays = (() => {
     }
     const square = { positions: new Float32Array([-1, -1, 0, 1, -1, 0, 1, 1, 0, -1, -1, 0, 1, 1, 0, -1, 1, 0]),
       normals: new Float32Array(18), count: 6 };
-    const uploaded = new Map();
+    const uploaded = new Map(), outlines = new Map();
     const IDENTITY = new Float32Array([1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1]);
 
-    function mesh(g, model) {
+    function mesh(g, model, how = gl.TRIANGLES) {
       if (!g.count) return;
       if (!uploaded.has(g)) uploaded.set(g, upload(g));
       gl.bindVertexArray(uploaded.get(g));
       gl.uniformMatrix4fv(at.model, false, model);
-      gl.drawArrays(gl.TRIANGLES, 0, g.count);
+      gl.drawArrays(how, 0, g.count);
     }
 
-    // Draws a frame of a replay into a 2D canvas of the page, at the canvas's size.
-    return function draw(onto, scene, r, frame, view, colors) {
+    function edges(g, model) {
+      if (!outlines.has(g)) outlines.set(g, outline(g));
+      mesh(outlines.get(g), model, gl.LINES);
+    }
+
+    // Draws bodies half-transparent, over what is there: only their surface nearest to the eye shows. They are moved
+    // back by half a millimetre, so that surfaces in the same place do not flicker.
+    function ghost(bodies, poses, color) {
+      gl.polygonOffset(1, 400);
+      gl.colorMask(false, false, false, false);
+      bodies.forEach((g, body) => mesh(g, poses[body]));
+      gl.colorMask(true, true, true, true);
+      gl.depthFunc(gl.LEQUAL);
+      gl.uniform4fv(at.color, color);
+      bodies.forEach((g, body) => mesh(g, poses[body]));
+      gl.depthFunc(gl.LESS);
+    }
+
+    // Draws a frame of a replay into a 2D canvas of the page, at the canvas's size. shapes: whether to draw the
+    // collision shapes, with the surfaces half-transparent over them.
+    return function draw(onto, scene, r, frame, view, colors, shapes) {
       const width = onto.width, height = onto.height;
       if (canvas.width < width || canvas.height < height) {
         canvas.width = Math.max(canvas.width, width);
@@ -200,7 +241,8 @@ const Replays = (() => {
       gl.uniformMatrix4fv(at.view, false, matrix);
       gl.uniform3fv(at.eye, eye);
       gl.uniform3fv(at.middle, r.target);
-      const bodies = [...scene.hand, scene.objects[r.object]], object = scene.hand.length;
+      const all = ({ hand, objects }) => [...hand, objects[r.object]];
+      const bodies = all(shapes ? scene.shapes : scene), object = scene.hand.length;
       const poses = bodies.map((_, body) => pose(r, body, frame));
       gl.enable(gl.BLEND);
       gl.disable(gl.DEPTH_TEST);
@@ -220,13 +262,24 @@ const Replays = (() => {
       gl.enable(gl.DEPTH_TEST);
       gl.uniform1i(at.kind, 0);
       const touching = r.c[Math.max(0, Math.min(r.n - 1, Math.round(frame)))];
+      if (shapes) gl.enable(gl.POLYGON_OFFSET_FILL);
+      gl.polygonOffset(1, 40);
       bodies.forEach((g, body) => {
         const kind = body === object ? "object" : (touching >> body) & 1 ? "contact" : "hand";
         gl.uniform4fv(at.color, colors[kind]);
         mesh(g, poses[body]);
       });
-      if (r.bodies > object + 1) {
+      if (shapes) {
         gl.enable(gl.BLEND);
+        gl.uniform1i(at.kind, 1);
+        gl.uniform4fv(at.color, colors.edge);
+        bodies.forEach((g, body) => edges(g, poses[body]));
+        gl.uniform1i(at.kind, 0);
+        ghost(all(scene), poses, colors.ghost);
+        gl.disable(gl.POLYGON_OFFSET_FILL);
+      }
+      gl.enable(gl.BLEND);
+      if (r.bodies > object + 1) {
         gl.depthMask(false);
         gl.uniform1i(at.kind, 1);
         gl.uniform4fv(at.color, [...colors.object.slice(0, 3), 0.22]);
@@ -239,7 +292,7 @@ const Replays = (() => {
     };
   }
 
-  return { bytes, geometry, decode, pose, seconds, lossFrame, times, camera, shadow, readHash, painter };
+  return { bytes, geometry, outline, decode, pose, seconds, lossFrame, times, camera, shadow, readHash, painter };
 })();
 
 if (typeof module !== "undefined") module.exports = Replays;

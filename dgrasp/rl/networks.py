@@ -44,11 +44,12 @@ def _layers(network: nn.Module) -> tuple[tuple[Array, Array], ...]:
 
 
 def make_mlp(sizes: list[int], dtype: torch.dtype = torch.float32) -> nn.Sequential:
-    """Linear layers of the given sizes with LeakyReLU between them; the parameters are not initialised."""
+    """Linear layers of the given sizes with LeakyReLU between them; the global random state stays as it is."""
     layers: list[nn.Module] = []
-    for fan_in, fan_out in itertools.pairwise(sizes):
-        # skip_init leaves the global random state alone.
-        layers += [nn.utils.skip_init(nn.Linear, fan_in, fan_out, dtype=dtype), nn.LeakyReLU(LEAK)]
+    # nn.utils.skip_init would draw no numbers, but it imports sympy, which takes half a second.
+    with torch.random.fork_rng(devices=[]):
+        for fan_in, fan_out in itertools.pairwise(sizes):
+            layers += [nn.Linear(fan_in, fan_out, dtype=dtype), nn.LeakyReLU(LEAK)]
     return nn.Sequential(*layers[:-1])
 
 

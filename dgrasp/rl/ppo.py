@@ -9,6 +9,7 @@ from torch import Tensor, nn
 
 from dgrasp.config.sections import PpoConfig
 from dgrasp.errors import DataError
+from dgrasp.rl.adam import Adam
 from dgrasp.rl.networks import ActorCritic
 from dgrasp.rl.storage import Minibatch, Rollout
 
@@ -69,7 +70,7 @@ class Ppo:
 
     def __init__(self, model: ActorCritic, config: PpoConfig) -> None:
         self.model, self.config = model, config
-        self.optimizer = torch.optim.Adam(model.parameters(), lr=config.learning_rate)
+        self.optimizer = Adam(model.parameters(), lr=config.learning_rate)
 
     @property
     def learning_rate(self) -> float:

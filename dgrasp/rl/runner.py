@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 import torch
 
-from dgrasp import __version__
 from dgrasp.config.experiment import Config
 from dgrasp.config.values import flat_keys
 from dgrasp.errors import ConfigError, DGraspError
@@ -36,6 +35,7 @@ from dgrasp.rl.run.log import (
 )
 from dgrasp.rl.storage import Rollout
 from dgrasp.rl.vec_env import VecEnv
+from dgrasp.version import __version__
 
 _SHARES = (10, 25, 50, 75)
 """Per cent of a training shorter than `eval.every` after which it is evaluated too."""
@@ -176,7 +176,7 @@ class Runner:
             values[tag] = float(ends.sum(axis=0).mean())
         ended = trajectories.terminated.sum() + trajectories.truncated.sum()
         if self.config.env.hold.first_step is not None and ended:
-            # A dropped object terminates an episode, so what comes to its end still holds.
+            # A dropped object terminates an episode, so a truncated episode still holds its object.
             values[HELD] = float(trajectories.truncated.sum() / ended)
         terms = trajectories.reward_terms.mean(axis=0, dtype=np.float64)
         return values | _tagged("reward", dict(zip(env.reward_terms, terms, strict=True)))
@@ -212,7 +212,7 @@ class Runner:
         return epoch % every == 0 or epoch in early
 
     def watch(self, done: int, total: int) -> None:
-        """Show how far the evaluation is that is going on, in its own control steps."""
+        """Show the progress of the running evaluation, in its own control steps."""
         if self._log is not None:
             self._log.evaluating(self.epoch, done, total)
 

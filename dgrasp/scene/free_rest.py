@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from dgrasp.objects.free import shape_bounds
 from dgrasp.objects.model import ObjectModel
@@ -39,6 +38,8 @@ modelled, without a turn."""
 
 def place_at_rest(model: ObjectModel, rng: np.random.Generator, n: int) -> Array:
     """(n, 4, 4) T_WO of the object at rest on the table, each at a random place and yaw."""
+    from scipy.spatial.transform import Rotation
+
     downs = [Rotation.from_euler("XYZ", angles).as_matrix() for angles in _REST.get(model.name, (_AS_MODELLED,))]
     heights = np.array([TABLE_TOP - lowest(model.shapes, R) for R in downs])
     chosen = rng.integers(len(downs), size=n)

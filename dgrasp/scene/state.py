@@ -57,7 +57,7 @@ def state_views(n: int, hand: HandLayout, buffer: Array | None = None) -> SceneS
 
 
 def take(arrays: Rows, rows: Array) -> Rows:
-    """Copies of the arrays for these environments alone."""
+    """Copies of the arrays for some environments alone, given by their rows (n,)."""
     return type(arrays)(**{name: values[rows] for name, values in vars(arrays).items()})
 
 

@@ -106,7 +106,7 @@ class Worlds:
             self.batch.touching(rows, OBJECT, TABLE, self.s.table_contact)
 
     def derive(self, rows: slice | Array) -> None:
-        """Compute everything in the state that follows from the engine's readings."""
+        """Compute, in rows (n,) or all, everything in the state that follows from the engine's readings."""
         s, body = self.s, self._object_state[rows]
         s.object_pos_W[rows] = body[:, :3]
         s.R_WO[rows] = matrix_from_quaternion(body[:, 3:7])

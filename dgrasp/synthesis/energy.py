@@ -7,6 +7,7 @@ closure is the residual wrench of forces along the contacts' normals, whose shar
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,6 +15,7 @@ import torch
 from torch import Tensor
 
 from dgrasp.hand.mano.skinning import axis_angle_rotations
+from dgrasp.rl.adam import Adam
 from dgrasp.synthesis.torch_hand import ObjectField, TorchHand, tensor
 from dgrasp.types import Array
 
@@ -58,7 +60,7 @@ class Grasps:
 
     def pose(self, hand: TorchHand) -> Tensor:
         """(B, J) joint angles, within the limits except for the joints that yield."""
-        return torch.where(self.yields, self.angles, hand.clipped(hand.pose(self.motions)))
+        return hand.tied(torch.where(self.yields, self.angles, hand.clipped(hand.pose(self.motions))))
 
     def take(self, rows: Tensor) -> Grasps:
         """The grasps of these rows."""
@@ -76,7 +78,7 @@ def energies(
     shares (B, P): logits of the contacts' forces. center (3,): the centre of mass in O, m.
     """
     pose = hand.pose(grasps.motions)
-    posed = hand.forward(grasps.R, grasps.t, torch.where(grasps.yields, grasps.angles, pose))
+    posed = hand.forward(grasps.R, grasps.t, hand.tied(torch.where(grasps.yields, grasps.angles, pose)))
     depth = hand.radii - field.distance(posed.centers)
     point, distance, normal = contact_points(hand, field, hand.pad_points(posed))
     wanted = grasps.wanted.float()
@@ -151,11 +153,12 @@ def overlaps(hand: TorchHand, centers: Tensor) -> Tensor:
 
 
 def optimise(
-    hand: TorchHand, field: ObjectField, grasps: Grasps, center: Array, iterations: int = ITERATIONS
+    hand: TorchHand, field: ObjectField, grasps: Grasps, center: Array, iterations: int = ITERATIONS,
+    stepped: Callable[[], None] = lambda: None,
 ) -> tuple[Grasps, dict[str, Tensor]]:
     """Minimise all terms together by gradient descent, with joint angles clipped to the limits.
 
-    Returns the grasps found and their terms.
+    Returns the grasps found and their terms. stepped: called after each iteration.
     """
     middle = tensor(center)
     w = torch.zeros_like(grasps.t, requires_grad=True)
@@ -163,7 +166,7 @@ def optimise(
     shares = torch.zeros(grasps.wanted.shape, requires_grad=True)
     leaves = {"t": t, "w": w, "motions": motions, "shares": shares}
     groups = [{"params": [leaf], "lr": _RATES[name]} for name, leaf in leaves.items()]
-    adam = torch.optim.Adam(groups, betas=(0.9, 0.98))
+    adam = Adam(groups, betas=(0.9, 0.98))
     slower = torch.optim.lr_scheduler.LambdaLR(adam, lambda k: 0.03 + 0.97 * math.cos(0.5 * math.pi * k / iterations))
 
     def current() -> Grasps:
@@ -182,6 +185,7 @@ def optimise(
                 leaf.grad.mul_(((_STEEPEST_M if leaf is t else _STEEPEST) / norm).clamp_max(1.0))
         adam.step()
         slower.step()
+        stepped()
     with torch.no_grad():
         found = current()
         found = replace(found, t=t.detach(), motions=motions.detach())
@@ -206,7 +210,8 @@ def let_yield(hand: TorchHand, field: ObjectField, grasps: Grasps, rng: np.rando
     closes such a joint and so grasps; a controller whose targets are the current angles presses on nothing.
     """
     pose = grasps.pose(hand).requires_grad_()
-    posed = hand.forward(grasps.R, grasps.t, pose)
+    # A joint that follows another has no lever of its own.
+    posed = hand.forward(grasps.R, grasps.t, hand.tied(pose))
     _, distance, _ = contact_points(hand, field, hand.pad_points(posed))
     lever = torch.autograd.grad((distance * grasps.wanted).sum(), pose)[0]
     with torch.no_grad():

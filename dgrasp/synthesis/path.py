@@ -56,9 +56,9 @@ def free_starts(
                 free[rows] = clearance(hand, setting, rest[rows], way, pose[rows]) > PATH_CLEARANCE
             starts[free], poses[free] = start[free], pose.numpy()[free]
             done |= free
-    poses = np.clip(poses, *hand.model.limits[N_WRIST:].T)
+    bent = hand.model.ties.coordinates(np.clip(poses, *hand.model.limits[N_WRIST:].T))
     starts[:, :3, :3] = orthonormal(starts[:, :3, :3])
-    return [StartPose(starts[i], rest[i], poses[i]) for i in range(n)], done
+    return [StartPose(starts[i], rest[i], bent[i]) for i in range(n)], done
 
 
 def clearance(hand: TorchHand, setting: Setting, T_WO: Array, T_WH: Array, pose: Tensor) -> Array:

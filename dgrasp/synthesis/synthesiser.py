@@ -6,6 +6,7 @@ that is passed in: on one machine, the same seed gives the same labels.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -34,6 +35,7 @@ from dgrasp.synthesis.energy import (
     unnatural,
 )
 from dgrasp.synthesis.path import free_starts, orthonormal
+from dgrasp.synthesis.progress import Report, SearchShare, search_and_trial
 from dgrasp.synthesis.start import LIFT, Setting, propose, rest_poses
 from dgrasp.synthesis.torch_hand import ObjectField, TorchHand, tensor
 from dgrasp.synthesis.trial import gt_pd_holds
@@ -109,18 +111,20 @@ class Synthesiser:
 
     def make(
         self, model: ObjectModel, count: int, rng: np.random.Generator, config: Config, batch: int = BATCH,
-        iterations: int = ITERATIONS,
+        iterations: int = ITERATIONS, report: Report = lambda share: None,
     ) -> Synthesised:
         """Make `count` diverse labels of an object.
 
         Some hold under gt_pd in `config.engine`; the others are left for a policy to learn. Raises `ConfigError` if too
-        few sound grasps are found.
+        few sound grasps are found. report: called with the share that is done.
         """
         wanted = round(_CHECKED_PER_LABEL * count)
-        parts, starts = self._search(make_setting(model), count, wanted, rng, batch, iterations)
+        search, trial = search_and_trial(config.engine)
+        share = SearchShare(report, search, wanted, batch, _ROUNDS, iterations + _second(iterations))
+        parts, starts = self._search(make_setting(model), count, wanted, rng, batch, iterations, share)
         order = _farthest_first(self._features(parts), parts.quality, min(wanted, len(starts)))
         labels = self._labels(model.name, parts.take(order), [starts[i] for i in order])
-        held = gt_pd_holds(labels, self.hand, model, config)
+        held = gt_pd_holds(labels, self.hand, model, config, lambda done: report(search + trial * done))
         # Shuffled, because splits, limits and demos take the first labels of an object as a sample.
         chosen = rng.permutation(order_of_both(held, count))
         rows = order[chosen]
@@ -128,15 +132,17 @@ class Synthesiser:
                            parts.touching[rows], float(held.mean()))
 
     def _search(
-        self, setting: Setting, count: int, wanted: int, rng: np.random.Generator, batch: int, iterations: int
+        self, setting: Setting, count: int, wanted: int, rng: np.random.Generator, batch: int, iterations: int,
+        share: SearchShare,
     ) -> tuple[_Found, list[StartPose]]:
         """The sound grasps of as many rounds as needed: `wanted` in the first few rounds, or else at least `count`."""
         rounds: list[tuple[_Found, list[StartPose]]] = []
         found, barren = 0, 0
         while found < wanted and (len(rounds) < _ROUNDS or (found < count and barren < _BARREN_ROUNDS)):
-            rounds.append(self._round(setting, rng, batch, iterations))
+            rounds.append(self._round(setting, rng, batch, iterations, share.step))
             new = len(rounds[-1][1])
             found, barren = found + new, barren + 1 if new < _BARREN * batch else 0
+            share.round_done(found)
         if found < count:
             raise ConfigError(
                 f"{setting.model.name}: found {found} sound grasps of {count}, next to none in the last {barren} "
@@ -145,7 +151,7 @@ class Synthesiser:
         return _join([part for part, _ in rounds]), [one for _, some in rounds for one in some]
 
     def _round(
-        self, setting: Setting, rng: np.random.Generator, batch: int, iterations: int
+        self, setting: Setting, rng: np.random.Generator, batch: int, iterations: int, stepped: Callable[[], None]
     ) -> tuple[_Found, list[StartPose]]:
         """The sound grasps of one batch that have a free start."""
         rest = rest_poses(setting, rng, batch)
@@ -154,9 +160,9 @@ class Synthesiser:
         proposed = propose(self.torch_hand, setting, T_WO, rng)
         center = setting.model.center_of_mass_O
         hand, field = self.torch_hand, setting.field
-        grasps, _ = optimise(hand, field, proposed, center, iterations)
+        grasps, _ = optimise(hand, field, proposed, center, iterations, stepped)
         yielding = let_yield(hand, field, grasps, rng)
-        grasps, _ = optimise(hand, field, yielding, center, max(1, iterations // 2))
+        grasps, _ = optimise(hand, field, yielding, center, _second(iterations), stepped)
         found = self._sound(setting, grasps, rest, T_WO)
         starts, free = free_starts(hand, setting, found.grasps, found.rest, found.T_WO, rng)
         return found.take(np.flatnonzero(free)), [starts[i] for i in np.flatnonzero(free)]
@@ -214,6 +220,7 @@ class Synthesiser:
         # The limits are float64: rounding must not move angles out of them.
         pose = g.pose(self.torch_hand).numpy().astype(float)
         pose = np.where(g.yields.numpy(), pose, np.clip(pose, *self.hand.limits[N_WRIST:].T))
+        pose = self.hand.ties.coordinates(pose)
         T_WH = found.T_WO @ transform(orthonormal(g.R.numpy().astype(float)), g.t.numpy().astype(float))
         joints = self.hand.keypoints_at(T_WH, pose)
         return [
@@ -221,6 +228,11 @@ class Synthesiser:
                        self.hand.id, SOURCE, i)
             for i in range(len(found))
         ]  # fmt: skip
+
+
+def _second(iterations: int) -> int:
+    """Steps of the second descent, once joints have yielded."""
+    return max(1, iterations // 2)
 
 
 def make_setting(model: ObjectModel) -> Setting:

@@ -85,6 +85,7 @@ class TorchHand:
         self.pads = self.radii[:, None] * self.palmar[self.parts]
         self.to_pose = tensor(self.motions.to_pose)
         self.limits = tensor(hand.limits[N_WRIST:].T)
+        self._ties = tensor(hand.ties.matrix.T), tensor(hand.ties.offset)
         self._offsets, self._tips = tensor(hand.offsets), tensor(hand.tips)
         self._levels, self._order = self._floors()
         self.members = [torch.nonzero(self.parts == part)[:, 0] for part in range(self.layout.n_parts)]
@@ -133,11 +134,16 @@ class TorchHand:
 
     def pose(self, motions: Tensor) -> Tensor:
         """(B, J) joint angles of motions (B, M), rad."""
-        return motions @ self.to_pose
+        return self.tied(motions @ self.to_pose)
+
+    def tied(self, pose: Tensor) -> Tensor:
+        """(B, J) angles with those of joints that follow others replaced by what they must be."""
+        matrix, offset = self._ties
+        return pose @ matrix + offset if len(self.model.ties.followers) else pose
 
     def clipped(self, pose: Tensor) -> Tensor:
         """(B, J) angles clipped to the joint limits."""
-        return torch.minimum(torch.maximum(pose, self.limits[0]), self.limits[1])
+        return self.tied(torch.minimum(torch.maximum(pose, self.limits[0]), self.limits[1]))
 
     def forward(self, R: Tensor, t: Tensor, pose: Tensor) -> PosedHand:
         """The hands with wrists R (B, 3, 3), t (B, 3) and joint angles (B, J)."""

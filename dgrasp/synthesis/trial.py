@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
 
 import numpy as np
@@ -17,17 +18,34 @@ AT_ONCE = 576
 """Largest number of worlds in one process. PyBullet allows at most 1024."""
 
 
-def gt_pd_holds(labels: list[GraspLabel], hand: HandModel, model: ObjectModel, config: Config) -> Array:
-    """(N,) bool: whether the baseline gt_pd succeeds, that is, the object stays in the hand for the test's window."""
+def gt_pd_holds(
+    labels: list[GraspLabel], hand: HandModel, model: ObjectModel, config: Config,
+    report: Callable[[float], None] = lambda share: None,
+) -> Array:
+    """(N,) bool: whether the baseline gt_pd succeeds, that is, the object stays in the hand for the test's window.
+
+    report: called with the share that is done.
+    """
     parts = [labels[i : i + AT_ONCE] for i in range(0, len(labels), AT_ONCE)]
-    return np.concatenate([_some_hold(part, hand, model, config) for part in parts])
+    steps = len(parts) * config.window_steps
+    made = itertools.count(1)
+    return np.concatenate([
+        _some_hold(part, hand, model, config, lambda: report(next(made) / steps)) for part in parts
+    ])  # fmt: skip
 
 
-def _some_hold(labels: list[GraspLabel], hand: HandModel, model: ObjectModel, config: Config) -> Array:
+def _some_hold(
+    labels: list[GraspLabel], hand: HandModel, model: ObjectModel, config: Config, stepped: Callable[[], None]
+) -> Array:
     env = GraspEnv(labels, hand, {model.name: model}, config)
     env.reset(mode="label")
     still = np.zeros((len(labels), hand.layout.n_dof))
-    holds = outlasts_window(env, lambda: still)
+
+    def actions() -> Array:
+        stepped()
+        return still
+
+    holds = outlasts_window(env, actions)
     env.close()
     return holds
 

@@ -11,13 +11,13 @@ from typing import Any
 
 import numpy as np
 
-from dgrasp import evaluation as evaluate
 from dgrasp.config.experiment import Config, find_config, load_config
 from dgrasp.config.values import flat_keys
 from dgrasp.data import DataChoice
 from dgrasp.errors import DataError, DGraspError
 from dgrasp.eval.motion import usual_set
 from dgrasp.eval.summary import Result, Row, is_metric, summarise
+from dgrasp.evaluation import evaluate_choice, evaluate_motion
 from dgrasp.files.atomic import write_atomic
 from dgrasp.files.paths import cfg_root
 from dgrasp.files.typed import typed
@@ -40,6 +40,7 @@ class Cells:
     intervals: metric -> [low, high].
     n: number of labels (or motions).
     comparable: whether hand, labels, targets and the keys of the evaluation are the paper's.
+    differences: why not, as far as the results tell.
     evaluated: engine, window and commit of the evaluations.
     missing: why values are missing.
     notes: remarks on the values.
@@ -52,6 +53,7 @@ class Cells:
     intervals: dict[str, list[float]] = field(default_factory=dict)
     n: int = 0
     comparable: bool = False
+    differences: list[str] = field(default_factory=list)
     evaluated: list[str] = field(default_factory=list)
     missing: list[str] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
@@ -139,7 +141,7 @@ class Tables:
             except ValueError:
                 self.say(f"{file} is damaged; evaluating again")
         self.say(f"evaluating: {command}")
-        evaluation = evaluate.evaluate_motion if motion else evaluate.evaluate_choice
+        evaluation = evaluate_motion if motion else evaluate_choice
         result, _, _ = evaluation(request.method, config, choice)
         try:
             self.results.mkdir(parents=True, exist_ok=True)
@@ -204,6 +206,7 @@ def _row(line: Line, seeds: Sequence[Found]) -> Cells:
     cells.values, cells.n = dict(whole.mean_over_objects), len(rows)
     cells.intervals = dict(whole.intervals["mean_over_objects"])
     cells.comparable = all(map(_comparable, results)) and not any(one.changed for one in there)
+    cells.differences = list(dict.fromkeys(why for one in results for why in one["data"].get("not_comparable", [])))
     cells.evaluated = list(dict.fromkeys(
         f"{result['engine']}, window {result['window_s']:g} s, version {result['commit'][:7]}" for result in results
     ))  # fmt: skip

@@ -53,10 +53,19 @@ def header_of(plan: Plan) -> list[str]:
     return header
 
 
+def notices(plan: Plan, rows: Sequence[Cells]) -> list[str]:
+    """Lines above a table: the meaning of *, if a row has one, and why."""
+    apart = [cells for cells in rows if cells.values and not cells.comparable]
+    if not apart:
+        return []
+    why = dict.fromkeys(difference for cells in apart for difference in cells.differences)
+    text = NOT_THE_PAPERS if plan.of_paper else NOT_THE_PAPERS.rsplit(",", 1)[0]
+    return [f"{text}: {'; '.join(why)}" if why else text]
+
+
 def remarks(plan: Plan, rows: Sequence[Cells]) -> list[str]:
-    """Lines under a table: the meaning of *, values by seed, training runs, and how to train what is missing."""
-    apart = any(cells.values and not cells.comparable for cells in rows)
-    lines = [NOT_THE_PAPERS if plan.of_paper else NOT_THE_PAPERS.rsplit(",", 1)[0]] if apart else []
+    """Lines under a table: values by seed, training runs, and how to train what is missing."""
+    lines = []
     for cells in rows:
         for metric in plan.metrics:
             name, number = _TITLES[metric]
@@ -80,20 +89,26 @@ def show(plan: Plan, rows: Sequence[Cells], console: Console | None = None) -> N
     console = console or Console()
     if not console.is_terminal:
         console = Console(width=220)
+    _print(notices(plan, rows), console)
     table = Table(title=plan.title, title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False)
     for i, name in enumerate(header_of(plan)):
         table.add_column(name, justify="left" if i < 2 else "right", no_wrap=True)
     for cells in rows:
         table.add_row(*cells_of(plan, cells))
     console.print(table)
-    for line in remarks(plan, rows):
+    _print(remarks(plan, rows), console)
+
+
+def _print(lines: Sequence[str], console: Console) -> None:
+    for line in lines:
         console.print(line, markup=False, highlight=False, soft_wrap=True)
 
 
 def write(plan: Plan, rows: Sequence[Cells], folder: Path) -> None:
     """Write NAME.md, NAME.csv and NAME.json into a folder."""
     header = header_of(plan)
-    lines = [f"## {plan.title}", "", f"| {' | '.join(header)} |", f"|{'---|' * 2}{'---:|' * (len(header) - 2)}"]
+    lines = [f"## {plan.title}", "", *(f"{line}\n" for line in notices(plan, rows))]
+    lines += [f"| {' | '.join(header)} |", f"|{'---|' * 2}{'---:|' * (len(header) - 2)}"]
     lines += [f"| {' | '.join(cells_of(plan, cells))} |" for cells in rows]
     lines += ["", *(f"- {line.strip()}" for line in remarks(plan, rows))]
     write_atomic(folder / f"{plan.name}.md", "\n".join(lines) + "\n")
@@ -104,9 +119,10 @@ def write(plan: Plan, rows: Sequence[Cells], folder: Path) -> None:
     write_atomic(folder / f"{plan.name}.csv", stream.getvalue())
     plain = [
         {"labels": cells.line.group, "method": cells.line.name, "n": cells.n, "values": cells.values,
-         "intervals": cells.intervals, "paper": dict(cells.line.paper), "comparable_with_paper": cells.comparable,
-         "seeds": cells.seeds, "missing": cells.missing, "notes": cells.notes, "commands": cells.commands,
-         "evaluated": cells.evaluated}
+         "intervals": cells.intervals,
+         "paper": dict(cells.line.paper) if cells.comparable or not cells.values else None,
+         "comparable_with_paper": cells.comparable, "seeds": cells.seeds, "missing": cells.missing,
+         "notes": cells.notes, "commands": cells.commands, "evaluated": cells.evaluated}
         for cells in rows
     ]  # fmt: skip
     content = {"schema": 1, "table": plan.name, "title": plan.title, "metrics": list(plan.metrics), "rows": plain}

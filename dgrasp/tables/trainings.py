@@ -10,7 +10,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from dgrasp import training
 from dgrasp.build import frozen_policy
 from dgrasp.config.experiment import Config, find_config, load_config
 from dgrasp.config.values import flat_keys, override
@@ -23,6 +22,7 @@ from dgrasp.request import Asked
 from dgrasp.rl.run.folder import latest, saved
 from dgrasp.rl.run.record import Run, read_run
 from dgrasp.tables.plan import ALL_OBJECTS, FAST, Plan, Trained, plans
+from dgrasp.training import begin, resume, start_run, train
 
 Say = Callable[[str], None]
 _OF_TRAINING = ("env.", "ppo.", "labels.", "physics.", "motion.sigma_")
@@ -101,7 +101,7 @@ class Trainings:
         # The paper's training is the default of every key, except for baselines, which have their own config files.
         asked = load_config(None if run.cfg is None else cfg_root() / Path(run.cfg).name, list(run.overrides))
         told = load_config(find_config(Path(run.cfg or self.cfg)), [*self.overrides, *run.overrides])
-        there, here, now = (flat_keys(config.model_dump(mode="json")) for config in (asked, made.config, told))
+        there, here, now = (_with_inertia(config, made.data) for config in (asked, made.config, told))
         counted = [key for key in here if key.startswith(_OF_TRAINING) and not key.startswith("ppo.max_")]
         changed = [f"{key}={here[key]}" for key in counted if here[key] != there[key]]
         stale = [f"{key}={here[key]}" for key in counted
@@ -148,10 +148,10 @@ class Trainings:
                 if begins and run.policy is not None:
                     self._train_with_own_grasp(run, self.policy_of(run.policy), limit)
                 elif begins:
-                    training.begin(self._config(run, limit), self.run_dir(run))
+                    begin(self._config(run, limit), self.run_dir(run))
                 else:
                     length = [override(f"ppo.{name}", value) for name, value in self._length(run).items()]
-                    training.resume(self.run_dir(run), [*self.own_grasp(run), *length, limit])
+                    resume(self.run_dir(run), [*self.own_grasp(run), *length, limit])
             except DGraspError as error:
                 # One run's error must not stop the others: its data may be missing, or it may refuse another recipe's
                 # policy.
@@ -178,8 +178,8 @@ class Trainings:
         choice = resolve(self._config(run))
         print(choice.describe(), flush=True)
         config = self._config(run, _motion_policy(_copy(policy, folder)), limit)
-        training.start_run(folder, config, choice)
-        training.train(folder, config, choice)
+        start_run(folder, config, choice)
+        train(folder, config, choice)
 
     def _config(self, run: Trained, *more: str) -> Config:
         """The config that this command trains a run with."""
@@ -226,6 +226,12 @@ def needed(chosen: Sequence[Plan]) -> list[Trained]:
                         found.setdefault(trial.run.policy)
                     found.setdefault(trial.run)
     return list(found)
+
+
+def _with_inertia(config: Config, data: dict[str, Any]) -> dict[str, Any]:
+    """The flat keys of a config, with `official_compat` as it applies to the data in place of null."""
+    official = config.physics.official_inertia(data.get("kind") == "release")
+    return flat_keys(config.model_dump(mode="json")) | {"physics.official_compat": official}
 
 
 def _motion_policy(file: Path) -> str:

@@ -12,7 +12,7 @@ from dgrasp.geometry.raster import Camera, Floor, draw, shaded
 from dgrasp.pool.base import PoolSpec
 from dgrasp.scene.scene import LOWERED_TOP, TABLE_SIZE, TABLE_TOP, TABLE_XY
 from dgrasp.types import Array, EpisodeRecord, SceneState
-from dgrasp.view.camera import eye, viewpoint
+from dgrasp.view.camera import viewpoint
 from dgrasp.view.meshes import DisplayMeshes, body_poses, table_tops
 from raisim_like.rotations import matrix_from_quaternion, transform
 
@@ -52,8 +52,8 @@ def record_pictures(
     q, t = body_poses(meshes, record)
     R = matrix_from_quaternion(q)
     tops = table_tops(record, *table_m)
-    target, yaw = viewpoint(record)
-    camera, stage = Camera(eye(target, yaw), target, size), Stage(meshes)
+    view = viewpoint(record)
+    camera, stage = Camera(view.eye, view.target, size), Stage(meshes)
     for step in range(0, len(t), every):
         yield stage.picture(R[step], t[step], tops[step], camera)
 
@@ -98,7 +98,7 @@ def tile(clips: Sequence[Sequence[Array]], columns: int) -> list[Array]:
     length = max(len(clip) for clip in clips)
     height, width, _ = clips[0][0].shape
     rows = -(-len(clips) // columns)
-    frames = []
+    frames: list[Array] = []
     for t in range(length):
         canvas = np.full((rows * height, columns * width, 3), 255, np.uint8)
         for k, clip in enumerate(clips):

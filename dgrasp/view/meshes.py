@@ -1,14 +1,15 @@
-"""What viewers draw: light meshes of the hand's parts and of the object, and their poses at each step."""
+"""What viewers draw: light meshes of the hand's parts and of the object, their collision shapes, and their poses."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 
 from dgrasp.geometry.intersection import Body, body, join
-from dgrasp.geometry.shape_mesh import shape_mesh
+from dgrasp.geometry.shape_mesh import SEGMENTS, shape_mesh
 from dgrasp.hand.kinematics import Kinematics
 from dgrasp.hand.layout import N_WRIST
 from dgrasp.hand.model import HandModel
@@ -20,6 +21,9 @@ from raisim_like.shapes import Shape
 
 PART_FACES, OBJECT_FACES = 320, 2500
 """Most triangles of a hand part and of an object."""
+BALL_SEGMENTS = SEGMENTS // 2
+"""Corners of a ball's equator. A capsule then has 160 triangles, all within 3% of its radius from its surface."""
+
 
 class Mesh(NamedTuple):
     """vertices (V, 3) m in the body's frame, faces (F, 3) wound outwards."""
@@ -33,33 +37,66 @@ class DisplayMeshes:
     """A hand and an object to draw.
 
     chain: the hand's kinematics. parts: names of its parts. hand: the parts' meshes in their own frames; the mesh of a
-    part without a shape has no faces. object: the object's mesh, in O.
+    part without a shape has no faces. object: the object's mesh, in O. shapes: what the engine collides for each of
+    `bodies`, in its frame; empty if it is not known.
     """
 
     chain: Kinematics
     parts: tuple[str, ...]
     hand: tuple[Mesh, ...]
     object: Mesh
+    shapes: tuple[Mesh, ...] = ()
 
     @property
     def bodies(self) -> tuple[str, ...]:
         """The rigid bodies of a replay: the hand's parts, then the object."""
         return (*self.parts, "object")
 
+    def colliding(self) -> DisplayMeshes:
+        """The same with the collision shapes in place of the surfaces; `shapes` must not be empty."""
+        return replace(self, hand=self.shapes[:-1], object=self.shapes[-1])
+
 
 def scene_meshes(hand: HandModel, model: ObjectModel) -> DisplayMeshes:
     """Light meshes of a hand and an object: of its surface where a file of it is at hand, else of its shapes."""
     shapes = model.shapes if model.mesh is None else (Shape("mesh", file=model.mesh),)
     surface = light(body([shape_mesh(shape) for shape in shapes]), OBJECT_FACES)
-    return DisplayMeshes(hand.chain, hand.layout.names.parts, hand_meshes(hand), surface)
+    collision = (*hand_shapes(hand), object_shapes(model))
+    return DisplayMeshes(hand.chain, hand.layout.names.parts, hand_meshes(hand), surface, collision)
 
 
 def hand_meshes(hand: HandModel) -> tuple[Mesh, ...]:
     """The parts' meshes, each of at most `PART_FACES` triangles."""
     surface = rigid_surface(hand)
     parts = [surface.local(part) for part in range(hand.layout.n_parts)]
-    none = Mesh(np.zeros((0, 3)), np.zeros((0, 3), dtype=np.int64))
-    return tuple(light(join(bodies), PART_FACES) if bodies else none for bodies in parts)
+    return tuple(light(join(bodies), PART_FACES) if bodies else _joined([]) for bodies in parts)
+
+
+def hand_shapes(hand: HandModel) -> tuple[Mesh, ...]:
+    """The collision shapes of the hand's parts, each of at most `PART_FACES` triangles."""
+    return tuple(_drawn(hand.urdf.links[int(link)].shapes, PART_FACES) for link in hand.part_links)
+
+
+def object_shapes(model: ObjectModel) -> Mesh:
+    """The collision shapes of an object, each of at most `OBJECT_FACES` triangles."""
+    return _drawn(model.shapes, OBJECT_FACES)
+
+
+def _drawn(shapes: Iterable[Shape], limit: int) -> Mesh:
+    """Shapes side by side in one mesh; unlike a union, it shows where one shape ends in another."""
+    meshes = []
+    for shape in shapes:
+        vertices, faces = shape_mesh(shape, BALL_SEGMENTS if shape.kind in ("sphere", "capsule") else SEGMENTS)
+        meshes.append(light(body([(vertices, faces)]), limit) if len(faces) > limit else Mesh(vertices, faces))
+    return _joined(meshes)
+
+
+def _joined(meshes: Sequence[Mesh]) -> Mesh:
+    """One mesh of several, which share no vertices; without any, it has no faces."""
+    starts = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes)])
+    return Mesh(np.concatenate([np.zeros((0, 3)), *(mesh.vertices for mesh in meshes)]),
+                np.concatenate([np.zeros((0, 3), dtype=np.int64),
+                                *(mesh.faces + start for mesh, start in zip(meshes, starts[:-1], strict=True))]))
 
 
 def light(solid: Body, limit: int) -> Mesh:

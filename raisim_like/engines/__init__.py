@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from importlib.util import find_spec
 from typing import TYPE_CHECKING
 
@@ -10,28 +11,36 @@ from raisim_like.errors import EngineError
 if TYPE_CHECKING:
     from raisim_like.engines.protocol import Engine
 
-ENGINES = ("pybullet", "mujoco")
-
 
 def default_engine() -> str:
     """PyBullet, the reference; MuJoCo where PyBullet is not installed."""
     return "pybullet" if find_spec("pybullet") else "mujoco"
 
 
+def _pybullet() -> Engine:
+    if find_spec("pybullet") is None:
+        raise EngineError(
+            "the PyBullet engine needs the package pybullet, which is not installed. It has wheels for Python 3.10 "
+            "and 3.11. On others `pip install pybullet==3.2.7` builds it from its source, with a C++ compiler and "
+            "Python's headers, in about 7 minutes; or choose the engine mujoco"
+        )
+    from raisim_like.engines.bullet.engine import BulletEngine
+
+    return BulletEngine()
+
+
+def _mujoco() -> Engine:
+    from raisim_like.engines.mujoco.world import MujocoEngine
+
+    return MujocoEngine()
+
+
+ENGINES: Mapping[str, Callable[[], Engine]] = {"pybullet": _pybullet, "mujoco": _mujoco}
+"""Name of an engine of single worlds -> function that makes it, or raises `EngineError` if a package is missing."""
+
+
 def make_engine(name: str) -> Engine:
     """The engine of that name. Raises `EngineError` for an unknown name or a missing package."""
-    if name == "pybullet":
-        if find_spec("pybullet") is None:
-            raise EngineError(
-                "the PyBullet engine needs the package pybullet, which is not installed. It has wheels for Python 3.10 "
-                "and 3.11. On others `pip install pybullet==3.2.7` builds it from its source, with a C++ compiler and "
-                "Python's headers, in about 7 minutes; or choose the engine mujoco"
-            )
-        from raisim_like.engines.bullet.engine import BulletEngine
-
-        return BulletEngine()
-    if name == "mujoco":
-        from raisim_like.engines.mujoco.world import MujocoEngine
-
-        return MujocoEngine()
-    raise EngineError(f"unknown engine {name!r}; expected one of {', '.join(ENGINES)}")
+    if name not in ENGINES:
+        raise EngineError(f"unknown engine {name!r}; expected one of {', '.join(ENGINES)}")
+    return ENGINES[name]()

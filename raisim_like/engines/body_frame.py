@@ -11,8 +11,8 @@ from raisim_like.rotations import matrix_from_quaternion, quaternion_from_matrix
 from raisim_like.shapes import Shape
 
 GYRATION = 0.3
-"""m. A body whose least radius of gyration is below turns as easily as things on a table do. That of the authors'
-objects, whose moments are 1 kg m^2, is above."""
+"""m. A body with a smaller least radius of gyration turns as easily as things on a table do. The authors' objects have
+larger ones, because their moments are 1 kg m^2."""
 
 
 class BodyFrame:

@@ -23,11 +23,11 @@ class Pending:
         return bool(self.wrenches or self.generalized)
 
     def add_wrench(self, body: int, force: Array, torque: Array) -> None:
-        """Add a force and a torque on a rigid body."""
+        """Add a force (3,) N at the centre of mass, and a torque (3,) N m, on a rigid body, world frame."""
         self.wrenches[body] = self.wrenches.get(body, np.zeros((2, 3))) + np.array([force, torque])
 
     def add_generalized(self, body: int, force: Array) -> None:
-        """Add a generalised force on a system."""
+        """Add a generalised force (dof,) on a system."""
         self.generalized[body] = self.generalized.get(body, 0.0) + np.asarray(force, dtype=float)
 
     def forget(self, body: int) -> None:

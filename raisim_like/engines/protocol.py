@@ -62,7 +62,7 @@ class EngineWorld(Protocol):
         """Write the (13,) state of `set_body_state` into out."""
 
     def set_base_pose(self, body: int, position: Array, quaternion: Array) -> None:
-        """Set the pose of an articulated system's fixed base."""
+        """Set the pose of an articulated system's fixed base: position (3,) m, quaternion (4,) w x y z, world."""
 
     def set_joint_state(self, body: int, gc: Array, gv: Array) -> None:
         """Set generalised coordinates and velocities (dof,), and reset the controller's memory."""

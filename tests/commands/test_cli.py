@@ -14,6 +14,7 @@ from dgrasp.files.paths import cfg_root
     ("words", "said"),
     [
         ("tran", "unknown command 'tran'; did you mean 'train'?"),
+        ("lables", "unknown command 'lables'; did you mean 'labels'?"),
         ("lables make", "unknown command 'lables'; did you mean 'labels make'?"),
         ("labels chek", "unknown command 'labels chek'; did you mean 'labels check'?"),
         ("labels import dexyc x", "unknown command 'labels import dexyc'; did you mean 'labels import dexycb'?"),
@@ -101,9 +102,9 @@ def test_a_training_needs_a_config(
     words: list[str], labels: str, epochs: str, steps: str, tmp_path, monkeypatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    assert run_command("train", ["--data", "free", "pool.workers=2", *words]) == 2
+    assert run_command("train", ["--data", "free", "engine=mujoco", "pool.workers=2", *words]) == 2
     message = capsys.readouterr().err
     assert f"on {labels} labels: {epochs} epochs, {steps} control steps" in message
     assert "on 2 cores" in message and "--cfg cfg/fast.yaml" in message and list(tmp_path.iterdir()) == []
-    # 733.2 million at 2 x 250 a second are 17 days.
-    assert ("about 17 days" if not words else "control steps, under 2 hours on") in message
+    # 733.2 million at 2 x 1000 a second are 4.2 days.
+    assert ("about 4 days" if not words else "control steps, under 2 hours on") in message

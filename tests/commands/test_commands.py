@@ -12,6 +12,7 @@ import time
 
 import pytest
 import torch
+from PIL import Image
 
 from dgrasp.cli import main, run_command
 from dgrasp.commands.test import write_gif
@@ -128,6 +129,12 @@ def test_a_gif_is_written(folder, tmp_path):
     words = ["--baseline", "gt_pd", "--data", str(folder), "--gif", str(file)]
     assert run_command("test", [*words, "pool.kind=serial", "eval.window_s=0.3"]) == 0
     assert file.read_bytes().startswith(b"GIF89a")
+    with Image.open(file) as image:
+        assert image.size == (640, 240)  # Two clips side by side, without a gap for a third.
+    surfaces = file.read_bytes()
+    assert run_command("test", [*words, "--shapes", "pool.kind=serial", "eval.window_s=0.3"]) == 0
+    # The box and the can collide as they look; the hand does not.
+    assert file.read_bytes().startswith(b"GIF89a") and file.read_bytes() != surfaces
 
 
 @pytest.mark.parametrize(
@@ -241,7 +248,7 @@ def test_ctrl_c_leaves_a_usable_checkpoint_and_exits_130(folder, tmp_path):
     run = tmp_path / "interrupted"
     words = ["train.py", *PAPER, "--data", str(folder), "--run", str(run), "ppo.epochs=100000", *SHORT]
     process = subprocess.Popen(
-        [sys.executable, *words, "eval.every=100000", "pool.kind=process"], cwd=shipped_root(),
+        [sys.executable, *words, "eval.every=100000", "pool.kind=process", "pool.workers=1"], cwd=shipped_root(),
         stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True, env={**os.environ, "OMP_NUM_THREADS": "1"},
     )  # fmt: skip
     deadline = time.monotonic() + 120

@@ -46,7 +46,7 @@ def _wait_for_epoch(run: Path, epoch: int, process: subprocess.Popen[str]) -> No
 
 
 def test_sigterm_saves_and_ends_well(folder: Path, tmp_path: Path) -> None:
-    process = _train(folder, tmp_path / "run", "ppo.epochs=100000", "eval.every=100000", "pool.workers=2")
+    process = _train(folder, tmp_path / "run", "ppo.epochs=100000", "eval.every=100000", "pool.workers=1")
     _wait_for_epoch(tmp_path / "run", 1, process)
     assert is_running(tmp_path / "run")
     process.terminate()
@@ -139,6 +139,9 @@ def test_runs_are_listed_and_compared(tmp_path: Path, capsys: pytest.CaptureFixt
     # Damaged lines, such as a power failure or an editor leaves, are ignored.
     with open(tmp_path / "b" / "progress.csv", "ab") as stream:
         stream.write(b"11,x,50.0,0.3,-3,0.7\n12,1200,\xff\xfe,0.3,-3,0.8\n\0\0\0\0")
+    # Runs of today also say the inertia of their objects.
+    stamp = '{"kind": "free", "split": "train", "n_labels": 1, "inertia": "true"}'
+    (tmp_path / "steps" / "data.json").write_text(stamp)
     (tmp_path / "new").mkdir()
     (tmp_path / "new" / "config.yaml").write_text("engine: mujoco\n")
     assert main(["runs", str(tmp_path)]) == 0
@@ -148,7 +151,7 @@ def test_runs_are_listed_and_compared(tmp_path: Path, capsys: pytest.CaptureFixt
     assert lines[2] == ["b", "stopped", "free", "train", engine, "all", "10/20", "1,000", "0.25", "0.600", "0.600"]
     assert lines[3] == ["new", "new", "?", "mujoco", "all", "0/10000", "0", "0.00", "-", "-"]
     assert lines[4][:2] == ["resumed", "stopped"] and lines[4][6] == "11/12"
-    assert lines[5][:2] == ["steps", "finished"] and lines[5][6] == "10/10"
+    assert lines[5][:6] == ["steps", "finished", "free", "train,", "true", "inertia"] and lines[5][8] == "10/10"
     assert lines[6][:2] == ["time", "finished"] and lines[6][6] == "10/20"
     # max_minutes is the share of a budget, so a run that reached it can continue.
     assert read_run(tmp_path / "steps").complete and not read_run(tmp_path / "time").complete

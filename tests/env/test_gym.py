@@ -13,7 +13,8 @@ from dgrasp.config.experiment import load_config
 from dgrasp.errors import ConfigError, DataError
 from dgrasp.gym import ACTION_SCALE, GraspGymEnv, GraspVectorEnv
 
-FREE = ["data=free", "labels.objects=[004_sugar_box]", "env.episode_steps=62"]
+STEPS = 32
+FREE = ["data=free", "labels.objects=[004_sugar_box]", f"env.episode_steps={STEPS}", "env.grasp_steps=20"]
 
 
 @pytest.fixture(scope="module")
@@ -41,9 +42,9 @@ def test_the_seed_fixes_the_start(env):
 
 def test_an_episode_ends_by_truncation_and_names_its_reward_terms(env):
     env.reset(seed=1)
-    for t in range(62):
+    for t in range(STEPS):
         _, reward, terminated, truncated, info = env.step(np.zeros(51, np.float32))
-        assert not terminated and truncated == (t == 61)
+        assert not terminated and truncated == (t == STEPS - 1)
         assert sum(info["reward_terms"].values()) == pytest.approx(reward, abs=1e-5)
 
 
@@ -52,9 +53,9 @@ def test_vector_env_restarts_in_the_same_step():
     assert venv.metadata["autoreset_mode"] is AutoresetMode.SAME_STEP
     observation, _ = venv.reset(seed=3)
     assert observation.shape == (2, 279) and venv.observation_space.contains(observation)
-    for t in range(62):
+    for t in range(STEPS):
         observation, _, terminated, truncated, info = venv.step(np.zeros((2, 51), np.float32))
-        assert truncated.all() == (t == 61) and not terminated.any()
+        assert truncated.all() == (t == STEPS - 1) and not terminated.any()
     assert info["_final_obs"].all() and not np.array_equal(info["final_obs"], observation)
     assert np.all(observation[:, :6] == 0.0)
     venv.close()
@@ -122,7 +123,7 @@ def test_an_action_is_the_residual_over_the_scale(env):
     assert env.action_space.high.tolist() == [1.0] * 51
 
 
-HOLD = ["env.hold.first_step=20", "env.hold.last_step=30"]
+HOLD = ["env.hold.first_step=8", "env.hold.last_step=12"]
 
 
 def test_success_is_told_where_episodes_have_a_hold():
@@ -138,7 +139,7 @@ def test_success_is_told_where_episodes_have_a_hold():
     made.close()
     venv = GraspVectorEnv(2, overrides=[*FREE, *HOLD, "env.hold.drop=9.0"])
     venv.reset(seed=1)
-    for _ in range(62):
+    for _ in range(STEPS):
         _, _, _, truncated, info = venv.step(np.zeros((2, 51), np.float32))
     # Nothing falls by 9 m in an episode, so that all are held to the end.
     assert truncated.all() and info["is_success"].all() and info["_is_success"].all()
@@ -152,7 +153,7 @@ def test_next_step_autoreset_shows_the_end_and_then_the_new_episode():
     first = [venv.reset(seed=3)[0] for venv in (same, following)]
     assert np.array_equal(*first)
     still = np.zeros((2, 51), np.float32)
-    for _ in range(62):
+    for _ in range(STEPS):
         a, b = same.step(still), following.step(still)
     assert b[3].all() and "final_obs" not in b[4]
     assert np.array_equal(b[0], a[4]["final_obs"]) and np.array_equal(b[1], a[1])
@@ -188,7 +189,7 @@ def test_all_environments_act_whatever_an_epoch_of_training_draws():
     assert observation.any(axis=1).all()
     # Episodes do not lengthen either.
     for _ in range(3):
-        for _ in range(62):
+        for _ in range(STEPS):
             _, _, _, truncated, _ = venv.step(np.zeros((3, 51), np.float32))
         assert truncated.all()
     venv.close()

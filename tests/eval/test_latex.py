@@ -46,7 +46,8 @@ def test_beside_the_paper_every_row_has_as_many_cells_as_columns() -> None:
 def test_what_it_rests_on_is_a_comment() -> None:
     lines = latex_text(result(ROWS, FREE)).splitlines()
     assert lines[0] == "% gt_pd, pybullet, window 5 s, 3 labels"
-    assert "% own hand and labels: not comparable with the paper" in lines and r"% \usepackage{booktabs}" in lines
+    assert lines[1] == "% not comparable with the paper: the hand is free, not the paper's"
+    assert r"% \usepackage{booktabs}" in lines
 
 
 def test_names_cannot_break_the_table(tmp_path: Path) -> None:

@@ -17,11 +17,11 @@ from dgrasp.eval.metrics import (
     label_distance_mm,
     mpe_m,
     position_errors_m,
+    recorded_window,
     sim_dist_mm_per_s,
     sim_dist_mm_per_step,
     sim_dist_wrist_mm_per_step,
     success,
-    window_steps,
 )
 from dgrasp.types import Array, EpisodeRecord
 from tests.eval.records import DT, at, label, record
@@ -33,7 +33,7 @@ WINDOW = STEPS * DT
 @pytest.mark.parametrize(("window_s", "steps"), [(5.0, 173), (3.87, 134), (DT, 1), (0.6 * DT, 1), (10.4 * DT, 10)])
 def test_window_is_rounded_to_control_steps(window_s: float, steps: int) -> None:
     # 5 / 0.02886 = 173.25; 3.87 / 0.02886 = 134.1.
-    assert window_steps(record(at(np.full(240, 0.6)), window_start=60), window_s) == steps
+    assert recorded_window(record(at(np.full(240, 0.6)), window_start=60), window_s) == steps
 
 
 def test_record_that_ends_before_the_window() -> None:

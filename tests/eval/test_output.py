@@ -59,13 +59,15 @@ def test_ours_beside_the_paper(beside: Result) -> None:
 
 def test_printed(free: Result, beside: Result) -> None:
     text = shown(free)
-    assert output.NOT_COMPARABLE in text
-    assert "own hand and labels: not comparable with the paper" in text
+    assert text.startswith("not comparable with the paper: the hand is free, not the paper's\n")
     assert "licence CC0 [red]x" in text
     assert "gt_pd, pybullet, window 5 s, 3 labels" in text
     assert "paper" in shown(beside)
     assert output.NOT_COMPARABLE not in shown(beside)
-    assert output.NO_COLUMN in shown(result(ROWS, PAPER, "other"))
+    assert shown(result(ROWS, PAPER, "other")).startswith(output.NO_COLUMN + "\n")
+    assert output.notices(result(ROWS, {"hand": "free"})) == [
+        "not comparable with the paper: hand or labels are not the paper's"
+    ]
 
 
 def test_correlation_is_told() -> None:
@@ -114,10 +116,12 @@ def test_markdown(tmp_path: Path, free: Result) -> None:
     output.write_markdown(free, tmp_path / "a.md")
     lines = (tmp_path / "a.md").read_text().splitlines()
     assert lines[0] == "## gt_pd, pybullet, window 5 s, 3 labels"
+    assert lines[2] == "**not comparable with the paper: the hand is free, not the paper's**"
+    lines = lines[2:]
     assert lines[2] == "| object | n | success | SimDist mm/step | interpen. cm3 |"
     assert lines[3] == "| --- | ---: | ---: | ---: | ---: |"
     assert lines[4] == "| 002_master_chef_can | 2 | 0.50 | 12.6 | 2.50 |"
-    assert f"- {output.NOT_COMPARABLE}" in lines
+    assert not any(output.NOT_COMPARABLE in line for line in lines[1:])
 
 
 def test_a_failed_write_leaves_the_old_file(tmp_path: Path, free: Result) -> None:
@@ -126,3 +130,14 @@ def test_a_failed_write_leaves_the_old_file(tmp_path: Path, free: Result) -> Non
     with pytest.raises(DataError, match="cannot be written"):
         output.write_json(free, path / "b.json")
     assert path.read_text() == "old"
+
+
+@pytest.mark.parametrize(
+    ("inertia", "words"),
+    [("true", "true inertia"), ("official", "the authors' inertia of 1 kg m2"), (None, None)],
+)
+def test_the_inertia_in_words(inertia: str | None, words: str | None) -> None:
+    one = result(ROWS, FREE if inertia is None else {**FREE, "inertia": inertia})
+    last = output.remarks(one)[-1]
+    assert "inertia" not in last if words is None else f"; {words}; seed" in last
+    assert words is None or f"; {words}; seed" in output.markdown_text(one)

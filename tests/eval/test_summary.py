@@ -16,7 +16,8 @@ from dgrasp.eval.paper import paper_column
 from dgrasp.eval.summary import Result, code_version, label_row, summarise
 from tests.eval.records import DT, at, label, record, standing
 
-FREE = {"hand": "free", "labels": "free_train.npz", "source": "free", "split": "train", "comparable_with_paper": False}
+FREE = {"hand": "free", "labels": "free_train.npz", "source": "free", "split": "train", "comparable_with_paper": False,
+        "not_comparable": ["the hand is free, not the paper's"]}
 PAPER = {"hand": "mano_mean", "labels": "x.pkl", "source": "dexycb", "split": "train", "comparable_with_paper": True}
 COST = {"control_steps": 100, "wall_s": 2.0, "physics_share": 0.9}
 

@@ -28,13 +28,14 @@ def box(x: float, y: float, z: float) -> Mesh:
 
 
 def meshes() -> DisplayMeshes:
-    """A palm and a thumb's last part; the other parts have no shape."""
+    """A palm and a thumb's last part; the other parts have no shape. The object collides as a box twice as wide."""
     none = Mesh(np.zeros((0, 3)), np.zeros((0, 3), dtype=np.int64))
     hand = [none] * N_PARTS
     hand[0], hand[15] = box(0.05, 0.015, 0.04), box(0.015, 0.008, 0.008)
     offsets = np.zeros((N_PARTS, 3))
     offsets[1:, 0] = -0.03
-    return DisplayMeshes(mano_kinematics(offsets), PARTS, tuple(hand), box(0.02, 0.05, 0.03))
+    shapes = (*hand, box(0.04, 0.05, 0.03))
+    return DisplayMeshes(mano_kinematics(offsets), PARTS, tuple(hand), box(0.02, 0.05, 0.03), shapes)
 
 
 def episode(**changes: Any) -> EpisodeRecord:

@@ -11,6 +11,7 @@ import pytest
 from dgrasp.cli import run_command
 from dgrasp.eval.failures import report
 from dgrasp.eval.summary import label_row
+from dgrasp.export import film
 from dgrasp.export.sequence import read_sequence, write_folder
 from tests.commands.folder import make_folder
 from tests.export.sequences import sequence
@@ -49,6 +50,28 @@ def test_stored_sequences_give_the_metrics_again(tested: Path) -> None:
         for key, value in again.items():
             assert row[key] == (pytest.approx(value, rel=1e-3, abs=1e-3) if isinstance(value, float) else value), key
     assert report(rows, 0.3, one.record.dt)["failures"] == result["failures"]
+
+
+def test_films_and_animations_can_show_the_collision_shapes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pictures = film.pictures
+    monkeypatch.setattr(film, "pictures", lambda one, every: pictures(one, every, (64, 48)))
+    write_folder(tmp_path / "in", [sequence()])
+    file = str(tmp_path / "in" / "004_sugar_box_0000.npz")
+    half = {}
+    for name, words in (("surface", []), ("shapes", ["--shapes"])):
+        for kind in ("glb", "gif"):
+            assert run_command("export", [file, "--out", str(tmp_path / f"{name}.{kind}"), *words]) == 0
+        data = (tmp_path / f"{name}.glb").read_bytes()
+        file_json = json.loads(data[20 : 20 + int.from_bytes(data[12:16], "little")])
+        (mesh,) = [mesh for mesh in file_json["meshes"] if mesh["name"] == "004_sugar_box"]
+        half[name] = file_json["accessors"][mesh["primitives"][0]["attributes"]["POSITION"]]["max"]
+    # The object reaches 2 cm to each side, its shape 4 cm.
+    assert half == {"surface": pytest.approx([0.02, 0.05, 0.03]), "shapes": pytest.approx([0.04, 0.05, 0.03])}
+    assert (tmp_path / "surface.gif").read_bytes() != (tmp_path / "shapes.gif").read_bytes()
+    assert run_command("export", [file, "--out", str(tmp_path / "a.npz"), "--shapes"]) == 2
+    assert "npz has no meshes to draw; leave out --shapes" in capsys.readouterr().err
 
 
 def test_export_of_a_file_and_of_a_folder(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -106,7 +129,9 @@ def test_view_writes_a_page_and_opens_it(
     assert "Sequences 1" in page and "http" not in page.replace("http-equiv", "").replace("http://www.w3.org", "")
     file, out = tmp_path / "in" / "004_sugar_box_0000.npz", tmp_path / "one.html"
     assert run_command("view", [str(file), "--out", str(out), "--no-browser"]) == 0
-    assert out.read_text() != "" and len(opened) == 1
+    assert ' id="shapes"\nautocomplete="off">' in out.read_text() and len(opened) == 1
+    assert run_command("view", [str(file), "--out", str(out), "--no-browser", "--shapes"]) == 0
+    assert ' id="shapes"\nautocomplete="off" checked>' in out.read_text()
     assert run_command("view", [str(file), "--out", str(tmp_path / "no" / "a.html")]) == 2
     assert run_command("view", [str(tmp_path / "none")]) == 2
     assert "error: " in capsys.readouterr().err

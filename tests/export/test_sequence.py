@@ -3,6 +3,7 @@ from __future__ import annotations
 import io
 import json
 import tempfile
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,7 @@ from dgrasp.errors import DataError
 from dgrasp.export.sequence import check_folder, read_sequence, sequence_files, write_folder, write_sequence
 from dgrasp.types import Array
 from tests.eval.records import standing
-from tests.export.sequences import STEPS, sequence
+from tests.export.sequences import STEPS, meshes, sequence
 
 
 def test_reading_gives_back_what_was_written(tmp_path: Path) -> None:
@@ -28,7 +29,10 @@ def test_reading_gives_back_what_was_written(tmp_path: Path) -> None:
         assert getattr(read.record.label, name) == getattr(written.record.label, name)
     assert read.record.label.goal_contacts.tolist() == written.record.label.goal_contacts.tolist()
     assert read.about == {key: value for key, value in written.about.items() if key != "code"}
-    pairs = zip((*read.meshes.hand, read.meshes.object), (*written.meshes.hand, written.meshes.object), strict=True)
+    collision = written.meshes.colliding()
+    assert np.ptp(collision.object.vertices, axis=0) == pytest.approx([0.08, 0.10, 0.06])
+    pairs = zip((*read.meshes.hand, read.meshes.object, *read.meshes.shapes),
+                (*written.meshes.hand, written.meshes.object, *collision.hand, collision.object), strict=True)
     for got, given in pairs:
         assert got.vertices == pytest.approx(given.vertices, abs=1e-7) and got.faces.tolist() == given.faces.tolist()
 
@@ -84,6 +88,10 @@ def described(**changes: Any) -> Array:
         ({"T_WO": np.zeros((7, 4, 4), np.float32)}, "T_WO has shape"),
         ({"mesh_sizes": np.zeros((17, 2), np.int32)}, "do not add up"),
         ({"mesh_faces": np.full((36, 3), 9, np.int32)}, "a face of palm names a vertex that does not exist"),
+        ({"shape_sizes": np.zeros((17, 2), np.int32)}, "shape_sizes do not add up to shape_vertices and shape_faces"),
+        ({"shape_sizes": np.zeros((16, 2), np.int32)}, r"shape_sizes has shape \(16, 2\); expected \(17, 2\)"),
+        ({"shape_faces": None}, "lacks shape_faces"),
+        ({"shape_vertices": np.full((24, 3), np.nan, np.float32)}, "shape_vertices hold NaN"),
         ({"meta": np.array('{"format": "dgrasp-sequence", "schema": 3}')}, "schema 3; this program reads 1 to 2"),
         ({"meta": np.array('{"format": "dgrasp-sequence", "schema": 1}')}, "description is incomplete"),
         ({"meta": described(table={})}, r"incomplete or wrong \(table\)"),
@@ -99,6 +107,15 @@ def described(**changes: Any) -> Array:
 def test_other_and_damaged_files_are_refused(tmp_path: Path, members: dict[str, Any], said: str) -> None:
     with pytest.raises(DataError, match=said):
         read_sequence(changed(tmp_path / "a.npz", **members))
+
+
+def test_an_older_file_has_no_collision_shapes(tmp_path: Path) -> None:
+    file = changed(tmp_path / "a.npz", shape_vertices=None, shape_faces=None, shape_sizes=None)
+    assert read_sequence(file).meshes.shapes == () and len(read_sequence(file).meshes.object.faces) == 12
+    with pytest.raises(DataError, match="without collision shapes; write it again"):
+        read_sequence(file, shapes=True)
+    write_sequence(tmp_path / "b.npz", replace(sequence(), meshes=replace(meshes(), shapes=())))
+    assert read_sequence(tmp_path / "b.npz").meshes.shapes == ()
 
 
 def test_a_file_that_is_no_archive_is_refused(tmp_path: Path) -> None:

@@ -30,6 +30,16 @@ def test_volume_and_place_are_those_of_the_shape(shape: Shape) -> None:
     assert middle == pytest.approx(exact.center_of_mass, abs=1e-4)
 
 
+@pytest.mark.parametrize("segments", [8, 16, 64])
+def test_round_shapes_keep_their_volume_with_any_number_of_corners(segments: int) -> None:
+    # A cylinder has two triangles per corner on its side, and segments - 2 on each end; a ball half the square.
+    for shape, faces in ((Shape("cylinder", (0.02, 0.05)), 4 * segments - 4),
+                         (Shape("sphere", (0.03,)), segments**2 // 2)):
+        closed = close_mesh(*shape_mesh(shape, segments))
+        assert len(closed.faces) == faces
+        assert closed.volume == pytest.approx(shape_properties(shape).volume, rel=1e-6)
+
+
 def test_a_capsule_stands_along_its_axis() -> None:
     # Radius 1 cm and 4 cm between the balls' middles, turned so that z points along x.
     vertices, _ = shape_mesh(Shape("capsule", (0.01, 0.04), **PLACE))

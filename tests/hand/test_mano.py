@@ -144,6 +144,10 @@ def test_mean_shape_and_betas(tmp_path: Path) -> None:
                            (np.array([30.0]), "few units"), (np.zeros((1, 2)), "at most 10")):
         with pytest.raises(DataError, match=message):
             model.shaped(betas)
+    # The mean shape may be written with more zeros than the file has shapes.
+    assert model.own_betas(np.zeros((2, 11))).shape == (2, 10) and model.own_betas(np.ones((2, 3))).shape == (2, 3)
+    with pytest.raises(DataError, match=r"at most 10\), because the MANO file has 10"):
+        model.own_betas(np.eye(11))
     with pytest.raises(DataError, match="long"):
         dataclasses.replace(model, shape_basis=1e3 * model.shape_basis).shaped(np.ones(1))
 

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from dgrasp.env.target_env import ENVS
 from dgrasp.errors import DataError
 from dgrasp.hand.inverse import fit_keypoints
 from dgrasp.hand.kinematics import Kinematics
@@ -39,7 +40,7 @@ def test_names_and_indices_come_from_the_file(three: HandModel) -> None:
     assert [finger.joints for finger in layout.fingers] == [(0, 1, 2), (3, 4), (5,)]
     assert [finger.parts for finger in layout.fingers] == [(1, 2, 3), (4, 5), (6,)]
     assert layout.thumb == 2 and layout.tips == (4, 7, 9) and layout.finger_of_part == (-1, 0, 0, 0, 1, 1, 2)
-    assert layout.action_size("grasp") == 12 and layout.action_size("motion") == 6
+    assert {task: kind.actions(layout) for task, kind in ENVS.items()} == {"grasp": 12, "flat": 12, "motion": 6}
     assert three.rest.tolist() == [0.0] * 6 and three.carried_mass == pytest.approx(three.urdf.mass)
     # Without a link that marks it, the tip is the farthest point of the thumb's capsule.
     assert three.tips[2] == pytest.approx([0.0, -0.079, 0.0], abs=1e-3)
@@ -142,6 +143,8 @@ BAD: dict[str, tuple[Callable[[str], str], str]] = {
     "finger on the wrist": (lambda t: t.replace('<parent link="palm"/><child link="thumb_0"/>',
                                                 '<parent link="wrist_rx_link"/><child link="thumb_0"/>'),
                             "hangs on a link of the wrist"),
+    "wrist follows": (lambda t: t.replace('<child link="long_1"/>', '<child link="long_1"/><mimic joint="wrist_rx"/>'),
+                      "joint long_1_joint has a <mimic> with a joint of the wrist"),
     "wrist turned": (lambda t: t.replace('<axis xyz="0 1 0"/>', '<axis xyz="0 0 1"/>', 1), "about axis y"),
     "MANO's alone": (lambda t: t, "a hand has 51 joints"),
 }

@@ -53,3 +53,13 @@ def write_three_fingers(path: Path) -> Path:
               _joint("thumb_0_joint", "palm", "thumb_0", "-0.02 -0.01 0", "0 0 -1", (-0.3, 0.9))]
     path.write_text("\n".join([*lines, "</robot>"]), encoding="utf-8")
     return path
+
+
+def write_tied_fingers(path: Path) -> Path:
+    """The same hand, in which each finger has one motor: its outer joints follow the one before by 0.9 q + 0.1."""
+    text = write_three_fingers(path).read_text("utf-8")
+    for leader, follower in (("long_0", "long_1"), ("long_1", "long_2"), ("short_0", "short_1")):
+        child = f'<child link="{follower}"/>'
+        text = text.replace(child, f'{child}<mimic joint="{leader}_joint" multiplier="0.9" offset="0.1"/>', 1)
+    path.write_text(text, encoding="utf-8")
+    return path

@@ -198,4 +198,6 @@ def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None
     assert page.count("<img") == 5 and page.index("[7]</b>") < min(page.index(f"[{i}]</b>") for i in (0, 1))
     assert "CC0 &lt;b&gt;" in page and "<b>\"" not in page
     assert main(["labels", "check", str(tmp_path / "b.npz"), "--data", "free"]) == 2
+    assert main(["labels", "check", str(tmp_path / "a.npz"), "--data", "free", "--shapes"]) == 2
+    assert "--shapes: only valid with --html" in capsys.readouterr().err
     assert main(["labels", "check", str(tmp_path / "a.npz"), "--html", str(tmp_path / "no" / "x.html")]) == 2

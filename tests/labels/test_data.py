@@ -12,6 +12,7 @@ import pytest
 
 from dgrasp import data
 from dgrasp.config.experiment import Config, make_config
+from dgrasp.config.sections import INERTIA, which_inertia
 from dgrasp.data import resolve
 from dgrasp.errors import DataError
 from dgrasp.files import paths
@@ -111,8 +112,23 @@ def test_stamp(tmp_path: Path) -> None:
     assert stamp == {
         "kind": "release", "hand": "mano_mean", "labels": "dexycb_train_labels.pkl", "source": "dexycb",
         "split": "train", "n_labels": 6, "n_objects": 2, "hand_file": "mano_mean.urdf", "comparable_with_paper": True,
+        "inertia": "official",
     }
     assert str(tmp_path) not in json.dumps(choice.stamp())
+
+
+def test_inertia_follows_the_data(tmp_path: Path) -> None:
+    root = str(release(tmp_path / "r"))
+    for overrides, free, released in (({}, "true", "official"), ({"official_compat": True}, "official", "official"),
+                                      ({"official_compat": False}, "true", "true")):  # fmt: skip
+        for name, expected in (("free", free), (root, released)):
+            choice = resolve(config(data=name, physics=overrides))
+            assert choice.inertia == choice.stamp()["inertia"] == expected
+            assert INERTIA[choice.inertia] in choice.describe()
+    physics = config().physics
+    assert physics.official_inertia(released=True) and not physics.official_inertia(released=False)
+    assert which_inertia([True, True]) == "official" and which_inertia([False]) == "true"
+    assert which_inertia([True, False]) == "mixed"
 
 
 def test_choice_of_objects_and_limit(tmp_path: Path) -> None:

@@ -14,6 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from dgrasp.cli import main
 from dgrasp.errors import DataError
+from dgrasp.hand.free.skin import free_skin, skin_path
 from dgrasp.hand.mano.params import wrist_joints
 from dgrasp.hand.mano.skeleton import PARTS
 from dgrasp.labels.formats.native import read_native_with_meta
@@ -116,6 +117,20 @@ def test_labels_and_what_is_skipped(mini: MiniDexYcb, capsys: pytest.CaptureFixt
     assert main([*words, "--every", "0"]) == 2
     assert main(["labels", "import", "ho3d", "/nowhere", *words[4:]]) == 2
     assert "no HO3D here" in capsys.readouterr().err
+
+
+def test_the_free_skin_has_fewer_shapes(mini: MiniDexYcb, capsys: pytest.CaptureFixture[str]) -> None:
+    content = annotation(mini)
+    mean = np.zeros((1, 6))
+    content["handTrans"] += (wrist_joints(mini.model, mean) - wrist_joints(free_skin(), mean))[0]
+    write(mini, "train/A/meta/0000.pkl", content)
+    write(mini, "train/B/meta/0000.pkl", {**content, "handBeta": np.full(10, 0.5)})
+    assert main(["labels", "import", "ho3d", str(mini.root), "--mano", str(skin_path()), "--hand", "free", "--every",
+                 "1", "--out", str(mini.root / "out.npz"), "--objects", str(mini.root / "models")]) == 0
+    labels, meta = read_native_with_meta(mini.root / "out.npz")
+    assert [label.source for label in labels] == ["ho3d:train/A/0000"]
+    assert meta["provenance"]["skipped"] == {"train/B/0000": "shape of another hand model"}
+    assert "the MANO file has 6" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from concurrent.futures import Future
 from dataclasses import replace
 
 import pytest
@@ -31,6 +32,15 @@ class InPlace:
 
     def __exit__(self, *arguments: object) -> None: ...
 
+    def shutdown(self, *arguments: object, **more: object) -> None: ...
+
+
+def there(result: object) -> Future:
+    """A result that is there."""
+    future: Future = Future()
+    future.set_result(result)
+    return future
+
 
 def test_the_command_writes_both_splits(
     tmp_path, monkeypatch: pytest.MonkeyPatch, capsys
@@ -39,8 +49,8 @@ def test_the_command_writes_both_splits(
            "contacts": 9.0, "diversity_deg": 10.0, "diversity_mm": 20.0, "cpu_s": 1.0}  # fmt: skip
 
     class Here(InPlace):
-        def map(self, function, tasks):
-            return [(labels_of(task), row) for task in tasks]
+        def submit(self, function, task, index):
+            return there((labels_of(task), row))
 
     monkeypatch.setattr(make_command, "ProcessPoolExecutor", Here)
     out = tmp_path / "set.npz"
@@ -51,7 +61,9 @@ def test_the_command_writes_both_splits(
     assert (len(train), len(test), meta["licence"], meta["hand"]) == (2, 1, "MIT", "free")
     assert meta["provenance"]["per_object"][BRICK]["held"] == 1 and "cpu_s" not in str(meta)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["set_test.npz", "set_train.npz"]
-    assert "best quarter" in capsys.readouterr().out
+    assert meta["provenance"]["inertia"] == "true"
+    shown = capsys.readouterr().out
+    assert "best quarter" in shown and "; true inertia" in shown
 
 
 def test_a_stopped_run_goes_on(
@@ -60,14 +72,15 @@ def test_a_stopped_run_goes_on(
     asked: list[str] = []
 
     class Here(InPlace):
-        def map(self, function, tasks):
-            for task in tasks:
-                asked.append(task.model.name)
-                if len(asked) == 2:
-                    raise KeyboardInterrupt
-                row = dict.fromkeys(("held", "found_held", "best_quarter_held", "penetration_cm3", "touching",
-                                     "contacts", "diversity_deg", "diversity_mm", "cpu_s"), 0.125)  # fmt: skip
-                yield labels_of(task), row
+        def submit(self, function, task, index):
+            asked.append(task.model.name)
+            row = dict.fromkeys(("held", "found_held", "best_quarter_held", "penetration_cm3", "touching",
+                                 "contacts", "diversity_deg", "diversity_mm", "cpu_s"), 0.125)  # fmt: skip
+            if len(asked) != 2:
+                return there((labels_of(task), row))
+            stopped: Future = Future()
+            stopped.set_exception(KeyboardInterrupt())
+            return stopped
 
     monkeypatch.setattr(make_command, "ProcessPoolExecutor", Here)
     out = tmp_path / "two.npz"

@@ -223,8 +223,8 @@ def test_graspttas_vector_and_contactopts_transform(mini: MiniDexYcb, tmp_path: 
         ({"hand_pose": None}, {}, "no hand_pose"),
         ({"object_rotation": None}, {}, "no object_rotation"),
         ({"object": None}, {}, "with --object"),
-        ({"betas": np.full((N, 10), 50.0)}, {}, "betas beyond 20"),
-        ({"object_translation": np.full((N, 3), 9.0)}, {}, "no label is left"),
+        ({"betas": np.full((N, 10), 50.0)}, {}, "a.npz: betas beyond 20"),
+        ({"object_translation": np.full((N, 3), 9.0)}, {}, "m from its origin"),
     ],
 )  # fmt: skip
 def test_what_is_refused(
@@ -235,7 +235,8 @@ def test_what_is_refused(
     file = write_npz(tmp_path / "a.npz", arrays)
     given = {key: value for key, value in (GIVEN | options).items() if value}
     assert import_file(mini, file, *words(given)) == 2
-    assert message in capsys.readouterr().err
+    printed = capsys.readouterr()
+    assert message in printed.err + printed.out
     assert not (mini.root / "out.npz").exists()
 
 
@@ -250,7 +251,7 @@ def test_what_is_refused(
         ("object,transl_0,transl_1,transl_2\n004,1,2,inf\n", "row 0: transl holds NaN, infinity"),
         ("object,transl_0,transl_1,transl_2\n", "rows per quantity"),
         ("", "rows per quantity"),
-        ("\0\0", "duplicate column"),
+        ("\0\0", "expected arrays or columns"),
         ('object,transl_0\n"004', "neither .npz nor .csv"),
     ],
 )
@@ -275,8 +276,9 @@ GERMAN = CSV.replace(",", ";").replace(".", ",")
         b"Unnamed: 0;object;transl_0;transl_1;transl_2;betas_0\n0;004;0,5;-1,25e-1;2;0\n1;061;1;2,5;3;-0,75\n",
         b'"object","transl_0","transl_1","transl_2","betas_0"\n"004","0.5","-0.125","2","0"\n\n'
         b"061, 1, 2.5, 3, -0.75\n,,,,\n",
+        b'object,transl_0,transl_1,transl_2,betas_0\n004,"0,5","-1,25e-1",2,0\n061,1,"2,5",3,"-0,75"\n',
     ],
-    ids=range(12),
+    ids=range(13),
 )  # fmt: skip
 def test_csv_of_spreadsheets_and_pandas(tmp_path: Path, raw: bytes) -> None:
     (tmp_path / "a.csv").write_bytes(raw)

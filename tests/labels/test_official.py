@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import collections
+import pickle
 import re
 from collections.abc import Callable
 from pathlib import Path
@@ -35,6 +37,24 @@ def test_dexycb_layout(tmp_path: Path, aligned: bool) -> None:
     np.testing.assert_array_equal(label.start.T_WO[:3, 3], arrays["obj_pose_reset"][1, :3])
     assert (label.hand, label.source, label.on_table) == ("mano_mean", "a.pkl", True)
     assert label.name == "a.pkl:004_sugar_box[1]"
+
+
+@pytest.mark.parametrize("protocol", range(6))
+def test_files_that_pickle_alone_wrote(tmp_path: Path, protocol: int) -> None:
+    content = static_content(objects=(2,), n=2)
+    expected = read_official(dump(tmp_path / "a.pkl", content))
+    other = {key: np.asfortranarray(array.astype(">f8")) if isinstance(array, np.ndarray) else array
+             for key, array in content[2].items()}
+    forms: list[dict[Any, Any]] = [
+        content, collections.OrderedDict({np.int64(2): other}),
+        {2: {key.encode(): array for key, array in content[2].items()}},
+    ]  # fmt: skip
+    for form in forms:
+        (tmp_path / "b.pkl").write_bytes(pickle.dumps(form, protocol))
+        for found, one in zip(read_official(tmp_path / "b.pkl"), expected, strict=True):
+            assert found.object_id == one.object_id
+            np.testing.assert_array_equal(found.T_WH, one.T_WH)
+            np.testing.assert_array_equal(found.joints_W, one.joints_W)
 
 
 def test_rotations_by_hand(tmp_path: Path) -> None:

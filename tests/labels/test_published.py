@@ -58,9 +58,31 @@ def test_rotation_matrices_and_6d(tmp_path: Path) -> None:
     skewed = columns.reshape(N, 15, 2, 3) * 3.0
     skewed[:, :, 1] += 0.4 * skewed[:, :, 0]
     np.testing.assert_allclose(rotation_vectors(skewed.reshape(N, 90), rows_of_6d=False), pose, atol=1e-12)
+    # Matrices of three rows and two columns say themselves what they are.
+    table = read(tmp_path / "a.npz", None, global_orient=R[..., :2], hand_pose=fingers[..., :2])
+    np.testing.assert_allclose(table.values["global_orient"], orient, atol=1e-12)
+    np.testing.assert_allclose(table.values["hand_pose"], pose, atol=1e-12)
+    with pytest.raises(DataError, match="expected no --rotation6d rows then"):
+        read_mano_table(tmp_path / "a.npz", "004", rows_of_6d=True)
     for bad in (fingers * 2.0, -fingers, np.zeros_like(fingers)):
         with pytest.raises(DataError, match="row 0: hand_pose holds a matrix that is no rotation"):
             read(tmp_path / "a.npz", None, global_orient=R, hand_pose=bad)
+
+
+def test_poses_that_hold_the_wrists_rotation_too(tmp_path: Path) -> None:
+    orient, pose = rotations()
+    whole = np.concatenate([orient, pose], axis=1)
+    R = matrices(whole)
+    for form in (whole, whole.reshape(N, 16, 3), R, R.reshape(N, 144), R[..., :2].swapaxes(2, 3).reshape(N, 16, 6),
+                 R[..., :2]):
+        table = read(tmp_path / "a.npz", None, hand_pose=form)
+        np.testing.assert_allclose(table.values["global_orient"], orient, atol=1e-12)
+        np.testing.assert_allclose(table.values["hand_pose"], pose, atol=1e-12)
+        assert table.matrices == (form.size > whole.size)
+    with pytest.raises(DataError, match=r"16 rotations, .* also global_orient"):
+        read(tmp_path / "a.npz", None, hand_pose=R, global_orient=orient)
+    with pytest.raises(DataError, match="hand_pose has 51 numbers per row; expected 1 to 45, 90 or 135; or, with"):
+        read(tmp_path / "a.npz", None, hand_pose=np.zeros((N, 51)))
 
 
 @pytest.mark.parametrize("source", ["hamer", "wilor"])
@@ -73,6 +95,12 @@ def test_estimators(tmp_path: Path, source: str) -> None:
     table = read(tmp_path / "a.npz", source, **arrays)
     np.testing.assert_array_equal(table.values["transl"], far)
     assert set(table.values) == {"global_orient", "hand_pose", "betas", "transl"}
+    # The model's whole output, in which they are a dictionary.
+    inner = {name: arrays.pop(name) for name in ("global_orient", "hand_pose", "betas")}
+    nested = read(tmp_path / "a.npz", source, **arrays, pred_mano_params=np.array(inner, dtype=object))
+    for name, values in table.values.items():
+        np.testing.assert_array_equal(nested.values[name], values)
+    arrays |= inner
     with pytest.raises(DataError, match=r"a\.npz: row 1: right is 0, a left hand"):
         read(tmp_path / "a.npz", source, **{**arrays, "right": np.array([1, 0, 1])})
 
@@ -110,6 +138,8 @@ def test_a_sequence_of_grab(tmp_path: Path) -> None:
     # Its object is turned by row vectors times the matrix: the other way round.
     np.testing.assert_array_equal(table.values["object_rotation"], -orient)
     np.testing.assert_array_equal(table.values["global_orient"], orient)
+    with pytest.raises(DataError, match=r"a\.npz: no rhand; expected a sequence of GRAB with its right hand"):
+        read(tmp_path / "a.npz", "grab", lhand={"params": hand}, object={"params": thing})
 
 
 def dexgraspnet(scales: list[float]) -> Array:
@@ -161,6 +191,8 @@ def test_other_npy_files(tmp_path: Path, change: dict[str, Any], message: str) -
     np.save(tmp_path / "b.npy", np.zeros((2, 3)))
     with pytest.raises(DataError, match="expected DexGraspNet's array of dictionaries"):
         read_mano_table(tmp_path / "b.npy", "004", published=PUBLISHED["dexgraspnet"])
+    with pytest.raises(DataError, match=r"b\.npy: a \.npy file.*--from dexgraspnet"):
+        read_mano_table(tmp_path / "b.npy", "004")
 
 
 def test_labels_of_an_added_object(
@@ -181,6 +213,13 @@ def test_labels_of_an_added_object(
     labels = read_native(tmp_path / "out.npz")
     assert [(label.object_id, label.index) for label in labels] == [("my_box", 0), ("my_box", 1)]
     np.testing.assert_allclose(labels[1].T_WH[:3, 3], [0.09, 0.0, 0.0], atol=1e-12)
+    # The check looks in the folder that it is told.
+    check = ["labels", "check", str(tmp_path / "out.npz"), "--data", "free", "--store"]
+    (tmp_path / "meshes").mkdir()
+    assert main([*check, str(tmp_path / "store")]) == 0
+    assert "2 labels of 1 objects" in capsys.readouterr().out
+    assert main([*check, str(tmp_path / "meshes")]) == 2
+    assert "unknown object 'my_box'" in (printed := capsys.readouterr().err) and "--store DIR" in printed
 
 
 @pytest.mark.parametrize(

@@ -100,6 +100,7 @@ def test_select_names_the_nearest(labels: LabelSet) -> None:
 
 def test_select_says_that_an_added_object_has_no_labels(labels: LabelSet) -> None:
     with pytest.raises(DataError) as caught:
-        select(labels, ["my_mug"], added=["my_mug"])
+        select(labels, ["my_mug"], added={"my_mug": Path("my objects")})
     assert "no label of 'my_mug', an object that was added; it has 021_bleach_cleanser" in str(caught.value)
-    assert "dgrasp labels make --objects my_mug" in str(caught.value) and "did you mean" not in str(caught.value)
+    command = "`dgrasp labels make --objects my_mug --number 25 --out my_mug.npz --store 'my objects'`"
+    assert command in str(caught.value) and "did you mean" not in str(caught.value)

@@ -31,6 +31,7 @@ from dgrasp.synthesis import synthesiser as synthesis
 from dgrasp.synthesis import trial as synth_trial
 from dgrasp.synthesis.energy import Grasps, energies, let_yield, optimise, residual_wrench, unnatural
 from dgrasp.synthesis.path import free_starts
+from dgrasp.synthesis.progress import SearchShare, search_and_trial
 from dgrasp.synthesis.report import joint_distances
 from dgrasp.synthesis.start import Setting, propose
 from dgrasp.synthesis.synthesiser import Synthesiser, order_of_both
@@ -139,10 +140,12 @@ def test_the_descent_brings_the_hand_to_the_object(hand: TorchHand, setting: Set
 # Labels --------------------------------------------------------------------------------------------
 
 
-def few(seed: int) -> synthesis.Synthesised:
-    config = make_config({"eval": {"window_s": 0.3}}, "test")
+def few(seed: int, told: list[float] | None = None) -> synthesis.Synthesised:
+    """Three labels; a batch of 48 hands has the nine sound grasps that are tried, so one round is enough."""
+    config = make_config({"eval": {"window_s": 0.1}}, "test")
     model = free_object(BRICK, "official", True)
-    return Synthesiser(free_hand()).make(model, 3, np.random.default_rng(seed), config, batch=10, iterations=36)
+    report = [].append if told is None else told.append
+    return Synthesiser(free_hand()).make(model, 3, np.random.default_rng(seed), config, 48, 36, report)
 
 
 @pytest.fixture(scope="module")
@@ -169,12 +172,20 @@ def test_labels_are_sound(made: synthesis.Synthesised, hand: TorchHand) -> None:
 def test_same_seed_same_labels_whatever_the_callers_generator_which_stays_as_it_is(made: synthesis.Synthesised) -> None:
     torch.manual_seed(123)
     before = torch.get_rng_state()
-    again = few(1)
+    told: list[float] = []
+    again = few(1, told)
     assert torch.equal(torch.get_rng_state(), before)
     for a, b in zip(made.labels, again.labels, strict=True):
         assert np.array_equal(a.hand_pose, b.hand_pose) and np.array_equal(a.T_WH, b.T_WH)
         assert a.start is not None and b.start is not None and np.array_equal(a.start.T_WH, b.start.T_WH)
     assert np.array_equal(made.held, again.held)
+    # It says how far it is, after each step of the descents (36 + 18 per round) and of the trial.
+    config = make_config({"eval": {"window_s": 0.1}})
+    search, trial = search_and_trial(config.engine)
+    steps = sum(share > search for share in told)
+    assert told == sorted(told) and told[-1] == pytest.approx(search + trial)
+    assert steps == config.window_steps
+    assert (len(told) - steps) % (36 + 18 + 1) == 0 and len(set(told)) > 50
 
 
 def test_a_left_hand_of_hulls_and_an_added_object(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -186,7 +197,7 @@ def test_a_left_hand_of_hulls_and_an_added_object(tmp_path: Path, monkeypatch: p
     words = [str(mesh), "--mass", "0.2", "--to", str(tmp_path / "mine"), "--shape", "box"]
     assert run_command("object add", words) == 0
     model, named = load_object(tmp_path / "mine" / "carton", True), open_hand(str(left))
-    config = make_config({"eval": {"window_s": 0.3}}, "test")
+    config = make_config({"eval": {"window_s": 0.1}}, "test")
     made = Synthesiser(named.model).make(model, 2, np.random.default_rng(3), config, batch=10, iterations=36)
     surfaces = Surfaces([tmp_path / "mine"])
     for label in made.labels:
@@ -221,7 +232,8 @@ def search(monkeypatch: pytest.MonkeyPatch, hand: TorchHand, setting: Setting, y
 
     synthesiser = Synthesiser(free_hand())
     monkeypatch.setattr(synthesiser, "_round", some)
-    parts, starts = synthesiser._search(setting, count, 3 * count, np.random.default_rng(0), 96, 1)
+    share = SearchShare(lambda _: None, 1.0, 3 * count, 96, 6, 2)
+    parts, starts = synthesiser._search(setting, count, 3 * count, np.random.default_rng(0), 96, 1, share)
     assert len(parts) == len(starts) == sum(made) >= count
     return len(made)
 
@@ -261,7 +273,7 @@ def test_three_barren_rounds_are_the_end(
 def test_more_grasps_than_one_process_has_worlds_are_tried_in_turns(
     made: synthesis.Synthesised, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    config, model = make_config({"eval": {"window_s": 0.3}}, "test"), free_object(BRICK, "official", True)
+    config, model = make_config({"eval": {"window_s": 0.1}}, "test"), free_object(BRICK, "official", True)
     together = gt_pd_holds(made.labels, free_hand(), model, config)
     sizes: list[int] = []
 

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,7 +18,7 @@ from dgrasp.objects.add import add
 from dgrasp.objects.add.add import Mass, add_object
 from dgrasp.objects.add.repair import RepairedSolid
 from dgrasp.objects.body import object_body
-from dgrasp.objects.store import META_FILE, default_store, find_object, load_object
+from dgrasp.objects.store import META_FILE, default_store, find_object, load_object, object_id
 from dgrasp.types import Array
 from tests.objects.meshes import SIZE, VOLUME, box, save
 
@@ -57,6 +59,12 @@ def test_mass_and_inertia_by_density(file: Path, tmp_path: Path) -> None:
     assert np.array_equal(compatible.inertia, np.eye(3)) and compatible.center_of_mass_O[0] == pytest.approx(0.01)
 
 
+def test_a_folder_that_cannot_be_written(file: Path, tmp_path: Path) -> None:
+    (tmp_path / "blocked").write_text("a file")
+    with pytest.raises(DataError, match=r"blocked/box: cannot be written \(.*\); choose another folder with --to"):
+        add_box(file, tmp_path / "blocked")
+
+
 def test_mass_center_and_inertia_given(file: Path, tmp_path: Path) -> None:
     mass = Mass(0.3, center=np.array([0.02, 0.0, 0.01]), inertia=np.diag([1e-4, 2e-4, 2.5e-4]))
     model = load_object(add_box(file, tmp_path, "heavy", mass).folder, official_compat=False)
@@ -93,6 +101,24 @@ def test_moments_that_the_size_cannot_have(file: Path, tmp_path: Path, moment: f
     message = str(error.value)
     assert "expected 1.71e-06 to 0.00051" in message and "for 0.5 kg" in message and "has 0.000171" in message
     assert not (tmp_path / "objects").exists()
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        # 0.06 kg, 60 x 50 x 40 mm: 0.06 (1e-5)^2, and 0.06 (0.06^2 + 0.05^2 + 0.04^2).
+        ({"inertia": (1e-14 * np.eye(3)).tolist()}, "1e-14 kg m^2; expected 6e-12 to 0.000462 for 0.06 kg"),
+        ({"inertia": np.eye(3).tolist()}, "a principal moment of 1 kg m^2"),
+        ({"center_of_mass_O": [0.5, 0.0, 0.0]}, "the centre of mass [0.5, 0.0, 0.0] lies outside the object"),
+        ({"mass_kg": 1000.0}, "a mass of 1000 kg; expected 0.1 g to 100 kg"),
+    ],
+)
+def test_a_description_made_by_hand(file: Path, tmp_path: Path, change: dict[str, Any], reason: str) -> None:
+    path = add_box(file, tmp_path).folder / META_FILE
+    meta = json.loads(path.read_text()) | change
+    path.write_text(json.dumps(meta | {"id": object_id(meta)}))
+    with pytest.raises(DataError, match=re.escape(reason)):
+        load_object(path.parent, official_compat=False)
 
 
 def test_moments_of_a_hollow_and_of_a_dense_body_are_taken(file: Path, tmp_path: Path) -> None:

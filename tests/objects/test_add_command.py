@@ -41,6 +41,7 @@ def test_from_a_mesh_to_a_result(tmp_path: Path, capsys: pytest.CaptureFixture[s
     result = json.loads((tmp_path / "r.json").read_text())
     assert list(result["per_object"]) == ["carton", "004_sugar_box"]
     assert list(result["data"]["added_objects"]) == ["carton"]
+    assert result["data"]["inertia"] == "true"
     assert str(tmp_path) not in json.dumps(result["data"])
     # The same box, once added and once from the free set: the same grasp gives the same result.
     first, second = result["per_label"]
@@ -128,3 +129,12 @@ def test_bad_input_is_one_message_and_exit_2(
     message = capsys.readouterr().err
     assert message.startswith("error: ") and said in message and "Traceback" not in message
     assert not (tmp_path / "to").exists()
+
+
+def test_negative_numbers_with_an_exponent(tmp_path: Path) -> None:
+    words = ["object", "add", str(save(box(), tmp_path / "a.obj")), "--to", str(tmp_path), "--shape", "box", "--mass",
+             "0.5", "--inertia", "2e-4", "2e-4", "2e-4", "-1e-6", "-.5e-5", "-1E-06", "--center", "-1e-3", "-.001", "0"]
+    assert main(words) == 0
+    meta = json.loads((tmp_path / "a" / "object.json").read_text())
+    assert meta["center_of_mass_O"] == [-1e-3, -1e-3, 0.0]
+    assert meta["inertia"] == [[2e-4, -1e-6, -5e-6], [-1e-6, 2e-4, -1e-6], [-5e-6, -1e-6, 2e-4]]

@@ -168,6 +168,18 @@ def test_vertices_split_by_texture_are_merged(tmp_path: Path) -> None:
     assert len(mesh.vertices) == 8 and mesh.is_volume
 
 
+def test_negative_indices_count_from_the_last_vertex_so_far(tmp_path: Path) -> None:
+    text = ""
+    for x in (0.0, 3.0):
+        text += "".join(f"v {x + i} {j} {k}\n" for i in (0, 1) for j in (0, 1) for k in (0, 1))
+        for quad in ((0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)):
+            text += "f " + " ".join(str(i - 8) for i in quad) + "\n"
+    (tmp_path / "two.obj").write_text(text)
+    mesh = load_mesh(tmp_path / "two.obj")
+    # Two cubes of 1 m, 2 m apart.
+    assert mesh.volume == pytest.approx(2.0) and mesh.bounds.tolist() == [[0, 0, 0], [4, 1, 1]]
+
+
 def test_missing_mesh_is_named(tmp_path: Path) -> None:
     with pytest.raises(DataError, match=r"nowhere\.obj: this mesh does not exist"):
         mesh_properties(tmp_path / "nowhere.obj")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import struct
 from collections.abc import Callable
 from pathlib import Path
@@ -12,26 +11,11 @@ import pytest
 import trimesh
 
 from dgrasp.errors import DataError
+from dgrasp.geometry.polygons import triangulated
 from dgrasp.objects.add import mesh_reader
 from dgrasp.objects.add.mesh_reader import read_mesh_file
-from dgrasp.objects.add.polygons import triangulated
 from dgrasp.objects.add.repair import repair
-from dgrasp.types import Array
-from tests.objects.meshes import SIZE, VOLUME, box, save
-
-QUADS = [[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]]
-"""The faces of `corners`, wound outwards."""
-
-
-def corners(size: tuple[float, float, float] = SIZE, center: tuple[float, float, float] = (0, 0, 0)) -> Array:
-    """(8, 3) of a box."""
-    signs = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
-    return signs * np.array(size) / 2 + np.array(center)
-
-
-def solid_volume(path: Path) -> float:
-    read = read_mesh_file(path)
-    return float(repair(read.vertices, read.faces).solid.volume())
+from tests.objects.meshes import QUADS, SIZE, VOLUME, box, corners, save, solid_volume
 
 
 def obj_lines(separator: str = " ", face: Callable[[int], str] = lambda i: str(i + 1)) -> str:
@@ -131,6 +115,9 @@ def test_stl_text_forms(tmp_path: Path, change: Callable[[str], str]) -> None:
     binary[:6] = b"solid "
     (tmp_path / "a.stl").write_bytes(bytes(binary))
     assert solid_volume(tmp_path / "a.stl") == pytest.approx(VOLUME, rel=1e-5)
+    (tmp_path / "a.stl").write_bytes(bytes(binary[:-20]))
+    with pytest.raises(DataError, match=r"announces 12 faces, but there are bytes for 11\.6"):
+        read_mesh_file(tmp_path / "a.stl")
 
 
 @pytest.mark.parametrize(
@@ -146,127 +133,6 @@ def test_decimal_commas_are_named(tmp_path: Path, name: str, text: str, line: st
     (tmp_path / name).write_text(text)
     with pytest.raises(DataError, match=rf"{name}: {line}.*decimal point"):
         read_mesh_file(tmp_path / name)
-
-
-# GLB
-
-
-def glb(content: dict, blob: bytes = b"") -> bytes:
-    """A GLB file of a description and its buffer."""
-    text = json.dumps(content).encode()
-    text += b" " * (-len(text) % 4)
-    blob += b"\0" * (-len(blob) % 4)
-    body = struct.pack("<I4s", len(text), b"JSON") + text
-    if blob:
-        body += struct.pack("<I4s", len(blob), b"BIN\0") + blob
-    return struct.pack("<4sII", b"glTF", 2, 12 + len(body)) + body
-
-
-def described(points: Array, component: int = 5126, nodes: list[dict] | None = None) -> tuple[dict, bytes]:
-    """A box of the corners `points` (8, n), n numbers a row as they lie in the buffer, the first three of them used."""
-    faces = np.array([[quad[k] for k in pick] for quad in QUADS for pick in ((0, 1, 2), (0, 2, 3))], dtype="<u2")
-    data, index = points.tobytes(), faces.tobytes()
-    return {
-        "asset": {"version": "2.0"}, "scene": 0, "nodes": nodes or [{"mesh": 0}], "scenes": [{"nodes": [0]}],
-        "meshes": [{"primitives": [{"attributes": {"POSITION": 0}, "indices": 1}]}],
-        "accessors": [{"bufferView": 0, "componentType": component, "count": 8, "type": "VEC3"},
-                      {"bufferView": 1, "componentType": 5123, "count": 36, "type": "SCALAR"}],
-        "bufferViews": [{"buffer": 0, "byteLength": len(data), "byteStride": points.strides[0]},
-                        {"buffer": 0, "byteOffset": len(data), "byteLength": len(index)}],
-        "buffers": [{"byteLength": len(data) + len(index)}],
-    }, data + index  # fmt: skip
-
-
-@pytest.mark.parametrize(
-    ("kind", "component", "full", "signed"),
-    [("<i1", 5120, 127, True), ("<u1", 5121, 255, False), ("<i2", 5122, 32767, True), ("<u2", 5123, 65535, False)],
-)
-def test_glb_of_normalised_integers(tmp_path: Path, kind: str, component: int, full: int, signed: bool) -> None:
-    # From -1 to 1, or from 0 to 1, times the node's scale: a box of 60 x 50 x 40 mm.
-    signs = corners((2.0, 2.0, 2.0)) if signed else corners((1.0, 1.0, 1.0), (0.5, 0.5, 0.5))
-    points = np.zeros((8, 4), dtype=kind)
-    points[:, :3] = np.rint(signs * full)
-    scale = [side / (2.0 if signed else 1.0) for side in SIZE]
-    content, blob = described(points, component, [{"mesh": 0, "scale": scale}])
-    content["accessors"][0]["normalized"] = True
-    content["extensionsUsed"] = content["extensionsRequired"] = ["KHR_mesh_quantization"]
-    (tmp_path / "a.glb").write_bytes(glb(content, blob))
-    read = read_mesh_file(tmp_path / "a.glb")
-    assert np.ptp(read.vertices, axis=0) == pytest.approx(SIZE) and read.scaled("auto")[1] == "m"
-    # Integers that are not normalised are themselves.
-    del content["accessors"][0]["normalized"]
-    content["nodes"][0]["scale"] = [side / full for side in scale]
-    (tmp_path / "a.glb").write_bytes(glb(content, blob))
-    assert np.ptp(read_mesh_file(tmp_path / "a.glb").vertices, axis=0) == pytest.approx(SIZE)
-
-
-def test_glb_nodes_put_meshes_where_they_stand(tmp_path: Path) -> None:
-    # A quarter turn about z, a mirror, a matrix in columns and a parent that moves them all.
-    half = 0.5**0.5
-    nodes = [
-        {"children": [1, 2, 3], "translation": [0.0, 0.0, 1.0]},
-        {"mesh": 0, "rotation": [0.0, 0.0, half, half], "translation": [0.1, 0.0, 0.0]},
-        {"mesh": 0, "scale": [-1.0, 1.0, 1.0], "translation": [-0.1, 0.0, 0.0]},
-        {"mesh": 0, "matrix": [2, 0, 0, 0, 0, 2, 0, 0, 0, 0, 2, 0, 0, 0.3, 0, 1]},
-        {"mesh": 0},
-    ]
-    (tmp_path / "a.glb").write_bytes(glb(*described(corners().astype("<f4"), nodes=nodes)))
-    read = read_mesh_file(tmp_path / "a.glb")
-    assert read.vertices.shape == (24, 3) and read.vertices[:, 2].mean() == pytest.approx(1.0)
-    assert np.ptp(read.vertices[:8], axis=0) == pytest.approx((SIZE[1], SIZE[0], SIZE[2]))
-    assert read.vertices[16:].mean(axis=0) == pytest.approx((0.0, 0.3, 1.0))
-    # 1 + 1 + 2^3 boxes, all wound outwards; the fifth node is not in the scene.
-    assert trimesh.Trimesh(read.vertices, read.faces, process=False).volume == pytest.approx(10 * VOLUME, rel=1e-5)
-    content, blob = described(corners().astype("<f4"), nodes=[{"children": [1]}, {"children": [0]}])
-    (tmp_path / "a.glb").write_bytes(glb(content, blob))
-    with pytest.raises(DataError, match="its node 0 has two parents"):
-        read_mesh_file(tmp_path / "a.glb")
-
-
-def test_glb_strips_fans_and_sparse_positions(tmp_path: Path) -> None:
-    points = np.array([(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0)], dtype="<f4")
-    index, place = np.array([2], dtype="<u2"), np.array([(3, 3, 0)], dtype="<f4")
-    for mode, faces in ((4, None), (5, [[0, 1, 2], [3, 2, 1]]), (6, [[0, 1, 2], [0, 2, 3]])):
-        content = {
-            "asset": {"version": "2.0"}, "nodes": [{"mesh": 0}],
-            "meshes": [{"primitives": [{"attributes": {"POSITION": 0}, "mode": mode}]}],
-            "accessors": [{"bufferView": 0, "componentType": 5126, "count": 4, "type": "VEC3", "sparse": {
-                "count": 1, "indices": {"bufferView": 1, "componentType": 5123}, "values": {"bufferView": 2}}}],
-            "bufferViews": [{"buffer": 0, "byteLength": 48}, {"buffer": 0, "byteOffset": 48, "byteLength": 2},
-                            {"buffer": 0, "byteOffset": 52, "byteLength": 12}],
-            "buffers": [{"byteLength": 64}],
-        }  # fmt: skip
-        blob = points.tobytes() + index.tobytes() + b"\0\0" + place.tobytes()
-        (tmp_path / "a.glb").write_bytes(glb(content, blob))
-        if faces is None:
-            with pytest.raises(DataError, match="4 corners of triangles; expected a multiple of three"):
-                read_mesh_file(tmp_path / "a.glb")
-            continue
-        read = read_mesh_file(tmp_path / "a.glb")
-        assert read.faces.tolist() == faces and read.vertices[2].tolist() == [3.0, 3.0, 0.0]
-
-
-def test_glb_that_cannot_be_read_says_what_it_needs(tmp_path: Path) -> None:
-    def refused(change: Callable[[dict], object], reason: str) -> None:
-        content, blob = described(corners().astype("<f4"))
-        change(content)
-        (tmp_path / "a.glb").write_bytes(glb(content, blob))
-        with pytest.raises(DataError, match=rf"a\.glb: .*{reason}.*export it"):
-            read_mesh_file(tmp_path / "a.glb")
-
-    def draco(content: dict) -> None:
-        content["meshes"][0]["primitives"][0]["extensions"] = {"KHR_draco_mesh_compression": {"bufferView": 0}}
-        del content["accessors"][0]["bufferView"]
-
-    refused(draco, "KHR_draco_mesh_compression")
-    refused(lambda c: c.update(extensionsRequired=["KHR_draco_mesh_compression"]), "Draco compression")
-    refused(lambda c: c.update(extensionsRequired=["EXT_meshopt_compression"]), "EXT_meshopt_compression")
-    refused(lambda c: c["bufferViews"][0].update(extensions={"EXT_meshopt_compression": {}}), "EXT_meshopt_compression")
-    refused(lambda c: c["buffers"][0].update(uri="outside.bin"), r"'outside\.bin' is outside of the file")
-    content, blob = described(corners().astype("<f4"))
-    content["extensionsRequired"] = ["KHR_materials_unlit", "KHR_texture_transform"]
-    (tmp_path / "a.glb").write_bytes(glb(content, blob))
-    assert solid_volume(tmp_path / "a.glb") == pytest.approx(VOLUME, rel=1e-5)
 
 
 def test_polygons_that_are_not_convex() -> None:
@@ -290,7 +156,8 @@ def test_polygons_that_are_not_convex() -> None:
 
 
 def test_a_normalised_mesh_has_no_unit(tmp_path: Path) -> None:
-    for side in (1.0, 2.0, 1.9995):
+    # The longest side is 1 or 2 in a cube, and between them in a ball of radius 1.
+    for side in (1.0, 2.0, 1.9995, 2.0 / 3.0**0.5, 1.7):
         read = read_mesh_file(save(box((side, 1.5 / 2 * side, 1.25 / 2 * side)), tmp_path / "a.obj"))
         with pytest.raises(DataError, match=r"normalised and has no unit; .*--units.*--scale"):
             read.scaled("auto")

@@ -37,14 +37,14 @@ def test_a_division_by_cost_changes_no_bit(monkeypatch: pytest.MonkeyPatch, engi
     rng = np.random.default_rng(0)
     layer = (rng.normal(size=(51, 279)).astype(np.float32) / 50, rng.normal(size=51).astype(np.float32))
     actor = Actor((layer,), np.full(51, 0.5, np.float32), 1)
-    pool = ProcessPool(make_spec(3, ["env.episode_steps=65", f"engine={engine}"]), 2)
+    pool = ProcessPool(make_spec(3, ["env.episode_steps=24", "env.grasp_steps=20", f"engine={engine}"]), 2)
     try:
-        before = {k: v.copy() for k, v in vars(pool.collect(actor, 2, 65, lambda n: None)).items()}
+        before = {k: v.copy() for k, v in vars(pool.collect(actor, 2, 24, lambda n: None)).items()}
         # Pretend that the first label has cost as much as the other two together.
         told = pool._listen()
         pool._spent[:] = [[2e6, 1e6, 1e6], [100, 100, 100]]
         monkeypatch.setattr(pool, "_listen", lambda: told)
-        after = pool.collect(actor, 2, 65, lambda n: None)
+        after = pool.collect(actor, 2, 24, lambda n: None)
         assert pool._rows == [slice(0, 1), slice(1, 3)]
         for name, array in vars(after).items():
             assert np.array_equal(array, before[name]), name

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -15,9 +15,13 @@ from dgrasp.pool.process import ProcessPool
 from dgrasp.pool.serial import SerialPool
 from dgrasp.rl.collect import Actor
 from dgrasp.scene.worlds import Worlds
+from tests.pool.mortal import Mortal
 from tests.scenes import make_spec
 
 STEPS = 6
+EPISODE = 24
+"""Control steps. The hands touch the boxes from the seventh on."""
+SHORT = [f"env.episode_steps={EPISODE}", "env.grasp_steps=20"]
 
 
 def _run(pool, mode="train"):
@@ -38,20 +42,23 @@ def _run(pool, mode="train"):
 
 @pytest.fixture(scope="module")
 def serial():
-    pool = SerialPool(make_spec(3, ["env.episode_steps=70"]))
+    pool = SerialPool(make_spec(3, SHORT))
     yield pool
     pool.close()
 
 
-@pytest.mark.parametrize("workers", [1, 2])
-def test_process_pool_equals_serial_to_the_bit(serial, workers):
-    pool = ProcessPool(make_spec(3, ["env.episode_steps=70"]), workers)
-    try:
-        for mode in ("train", "test"):
-            for ours, reference in zip(_run(pool, mode), _run(serial, mode), strict=True):
-                assert ours.tobytes() == np.ascontiguousarray(reference).tobytes()
-    finally:
-        pool.close()
+@pytest.fixture(scope="module", params=[1, 2])
+def parallel(request):
+    """A pool of one worker, then one of two."""
+    pool = ProcessPool(make_spec(3, SHORT), request.param)
+    yield pool
+    pool.close()
+
+
+def test_process_pool_equals_serial_to_the_bit(serial, parallel):
+    for mode in ("train", "test"):
+        for ours, reference in zip(_run(parallel, mode), _run(serial, mode), strict=True):
+            assert ours.tobytes() == np.ascontiguousarray(reference).tobytes()
 
 
 def _actor(seed=5):
@@ -60,61 +67,38 @@ def _actor(seed=5):
     return Actor((layer,), np.full(51, 0.5, np.float32), seed)
 
 
-@pytest.mark.parametrize("workers", [1, 2])
-def test_collecting_is_the_same_to_the_bit_however_the_labels_are_divided(serial, workers):
-    reference = {k: v.copy() for k, v in vars(serial.collect(_actor(), 4, 70, lambda n: None)).items()}
+def test_collecting_is_the_same_to_the_bit_however_the_labels_are_divided(serial, parallel):
+    reference = {k: v.copy() for k, v in vars(serial.collect(_actor(), 4, EPISODE, lambda n: None)).items()}
     assert reference["truncated"][-1].all() and reference["truncated"].sum() == 3
     # The last observation of the episode is not the first of the next.
     assert not np.array_equal(reference["final_observations"][0], reference["last_observation"])
-    pool, told = ProcessPool(make_spec(3, ["env.episode_steps=70"]), workers), []
-    try:
-        pool.collect(_actor(), 1, 70, told.append)
-        assert sum(told) == 3 * 70
-        for name, array in vars(pool.collect(_actor(), 4, 70, told.append)).items():
-            assert array.tobytes() == reference[name].tobytes(), name
-        assert 0.0 < pool.timing()["physics_share"] < 1.0
-    finally:
-        pool.close()
+    told = []
+    parallel.collect(_actor(), 1, EPISODE, told.append)
+    assert sum(told) == 3 * EPISODE
+    for name, array in vars(parallel.collect(_actor(), 4, EPISODE, told.append)).items():
+        assert array.tobytes() == reference[name].tobytes(), name
+    assert 0.0 < parallel.timing()["physics_share"] < 1.0
 
 
-def test_an_interrupted_collection_leaves_the_pool_usable(serial):
-    pool = ProcessPool(make_spec(3, ["env.episode_steps=70"]), 2)
-
+@pytest.mark.parametrize("parallel", [2], indirect=True)
+def test_an_interrupted_collection_leaves_the_pool_usable(serial, parallel):
     def interrupt(steps):
         if steps:
             raise KeyboardInterrupt
 
-    try:
-        with pytest.raises(KeyboardInterrupt):
-            pool.collect(_actor(), 1, 70, interrupt)
-        observation = pool.collect(_actor(), 4, 70, lambda n: None).last_observation
-        assert np.array_equal(observation, serial.collect(_actor(), 4, 70, lambda n: None).last_observation)
-    finally:
-        pool.close()
-
-
-@dataclass(frozen=True)
-class _Mortal(Actor):
-    """Sends a signal to the process that acts for a single environment, in its 20th control step."""
-
-    how: int
-    acted: list[int] = field(default_factory=list)
-
-    def means(self, observations, out):
-        if len(observations) == 1:
-            self.acted.append(1)
-            if len(self.acted) == 20:
-                os.kill(os.getpid(), self.how)
-        super().means(observations, out)
+    with pytest.raises(KeyboardInterrupt):
+        parallel.collect(_actor(), 1, 8 * EPISODE, interrupt)
+    observation = parallel.collect(_actor(), 4, EPISODE, lambda n: None).last_observation
+    assert np.array_equal(observation, serial.collect(_actor(), 4, EPISODE, lambda n: None).last_observation)
 
 
 @pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGSTOP])
 def test_a_lost_worker_is_replaced_and_its_experience_dropped(serial, how):
     """One worker is killed, or stopped so that it hangs; the experience of the other worker does not change."""
-    reference = {k: v.copy() for k, v in vars(serial.collect(_actor(), 4, 70, lambda n: None)).items()}
-    pool = ProcessPool(make_spec(3, ["env.episode_steps=70", "pool.hang_s=4"]), 2)
+    reference = {k: v.copy() for k, v in vars(serial.collect(_actor(), 4, EPISODE, lambda n: None)).items()}
+    pool = ProcessPool(make_spec(3, [*SHORT, "pool.hang_s=4"]), 2)
     try:
-        t = pool.collect(_Mortal(**vars(_actor()), how=how), 4, 70, lambda n: None)
+        t = pool.collect(Mortal(**vars(_actor()), how=how), 4, EPISODE, lambda n: None)
         assert t.valid.tolist() == [True, False, True]
         for name, array in vars(t.valid_part()).items():
             expected = reference[name][[0, 2]] if len(reference[name]) == 3 else reference[name][:, [0, 2]]
@@ -122,14 +106,14 @@ def test_a_lost_worker_is_replaced_and_its_experience_dropped(serial, how):
         assert pool.timing()["lost_workers"] == 1.0
         (event,) = pool.drain_events()
         assert ("died (exit code -9)" if how == signal.SIGKILL else "hung") in event and "dropped" in event
-        again = pool.collect(_actor(), 4, 70, lambda n: None)
+        again = pool.collect(_actor(), 4, EPISODE, lambda n: None)
         assert all(np.array_equal(array, reference[name]) for name, array in vars(again).items())
     finally:
         pool.close()
 
 
 def test_a_worker_lost_between_steps_says_so_and_is_there_again(serial):
-    pool = ProcessPool(make_spec(3, ["env.episode_steps=70"]), 2)
+    pool = ProcessPool(make_spec(3, SHORT), 2)
     expected = serial.reset(3).copy()
     try:
         pool.reset(3)
@@ -144,7 +128,7 @@ def test_a_worker_lost_between_steps_says_so_and_is_there_again(serial):
 
 def test_losses_with_successes_in_between_are_not_in_a_row():
     """Three losses, as in a long test, with only resets and steps in between."""
-    pool = ProcessPool(make_spec(1, ["env.episode_steps=70"]), 1)
+    pool = ProcessPool(make_spec(1, SHORT), 1)
     try:
         for _ in range(3):
             pool.reset(3, "test")
@@ -171,7 +155,7 @@ def test_a_worker_that_never_lives_is_given_up(monkeypatch):
 
 def test_a_broken_episode_can_be_played_again(monkeypatch):
     """An explosion in the middle of an epoch leaves an incident with the epoch and the actions that led to it."""
-    pool = SerialPool(make_spec(2, ["env.episode_steps=70"]))
+    pool = SerialPool(make_spec(2, SHORT))
     seen, steps = [], 0
 
     def explode(worlds):
@@ -183,13 +167,13 @@ def test_a_broken_episode_can_be_played_again(monkeypatch):
         return np.array([False, steps == 20])
 
     monkeypatch.setattr(Worlds, "exploded", explode)
-    pool.collect(_actor(), 4, 70, lambda n: None)
+    pool.collect(_actor(), 4, EPISODE, lambda n: None)
     (incident,) = pool.drain_incidents()
     assert (incident.env, incident.epoch, incident.actions.shape) == (1, 4, (20, 51))
     assert pool.drain_incidents() == [] and "unstable" in pool.drain_events()[0]
     pool.close()
 
-    spec = make_spec(2, ["env.episode_steps=70"])
+    spec = make_spec(2, SHORT)
     env = GraspEnv(spec.labels[1:], spec.hand, spec.objects, spec.config, indices=[incident.env])
     monkeypatch.undo()
     env.reset(incident.epoch)
@@ -206,7 +190,7 @@ def test_an_epoch_depends_on_nothing_before_it(serial):
     for _ in range(30):
         serial.step(np.zeros((3, 51), np.float32))
     again = _run(serial)
-    fresh_pool = SerialPool(make_spec(3, ["env.episode_steps=70"]))
+    fresh_pool = SerialPool(make_spec(3, SHORT))
     fresh = _run(fresh_pool)
     fresh_pool.close()
     for a, b, c in zip(first, again, fresh, strict=True):

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import csv
+import io
 import os
 import signal
 import time
@@ -52,89 +54,101 @@ def _collected(pool: Any, epoch: int) -> dict[str, Array]:
     return {k: v.copy() for k, v in vars(pool.collect(_actor(), epoch, 65, lambda n: None)).items()}
 
 
-def test_a_cluster_gives_what_one_process_gives(
-    cluster: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    # The workers' imports take longer than this, so the message that tells the user about the waiting appears.
-    monkeypatch.setattr("dgrasp.pool.ray._SAY_AFTER_S", 0.0)
-    serial, pool = SerialPool(make_spec(3, QUICK)), make_pool(make_spec(3, QUICK))
-    assert "waiting for 2 of 2 workers" in capsys.readouterr().err
-    nodes = {ray.get(member.process_id.remote()) for member in pool._members}  # type: ignore[attr-defined]
-    assert len(nodes) == 2, "one worker per node, because each has one core"
-    theirs, ours = _collected(serial, 5), _collected(pool, 5)
-    for name, array in theirs.items():
-        assert array.tobytes() == ours[name].tobytes(), name
-    assert 0.0 < pool.timing()["physics_share"] < 1.0
-    rng = np.random.default_rng(1)
-    seen = [[one.reset(3, "test").copy()] for one in (serial, pool)]
-    for t in range(4):
-        if t == 2:
-            serial.remove_table()
-            pool.remove_table()
-        actions = rng.normal(size=(3, 51)).astype(np.float32)
-        for one, log in zip((serial, pool), seen, strict=True):
-            step = one.step(actions)
-            log += [step.observation.copy(), step.reward.copy(), one.state.gc.copy(), one.state.table_contact.copy()]
-    assert all(np.array_equal(a, b) for a, b in zip(*seen, strict=True))
-    pool.close()
-    serial.close()
-
-
-def test_a_test_reports_unstable_simulations_and_the_time_in_the_engine(cluster: str) -> None:
-    """As in the process pool, reports also come from the steps and phases of a test, not only from collections."""
-    serial, pool = SerialPool(make_spec(3, QUICK)), make_pool(make_spec(3, QUICK))
-    for one in (serial, pool):
-        one.reset(3, "test")
-        actions = np.zeros((3, 51), np.float32)
-        one.step(actions)
-        actions[1] = np.nan
-        assert one.step(actions).broken.tolist() == [False, True, False]
-        one.remove_table()
-        one.step(np.zeros((3, 51), np.float32))
-    (event,) = pool.drain_events()
-    assert [event] == serial.drain_events() and "env 1" in event and "step 2" in event
-    assert pool.drain_events() == []
-    timing = pool.timing()
-    assert 0.0 < timing["physics_s"] < timing["wall_s"] * timing["workers"] and 0.0 < timing["physics_share"] < 1.0
-    # Another reset restarts the count, and no time is counted twice.
-    before = timing["physics_s"]
-    pool.reset(3, "test")
-    assert pool.timing()["physics_s"] < before
-    pool.close()
-    serial.close()
-
-
-def test_a_killed_worker_is_started_again_and_its_experience_dropped(cluster: str) -> None:
-    pool = make_pool(make_spec(3, QUICK))
-    reference = _collected(pool, 4)
-    victim = ray.get(pool._members[1].process_id.remote())  # type: ignore[attr-defined]
-    os.kill(victim, signal.SIGKILL)
-    got = _collected(pool, 4)
-    assert got["valid"].tolist() == [True, False, True]
-    assert np.array_equal(got["reward"][:, [0, 2]], reference["reward"][:, [0, 2]])
-    assert any("worker 1 died" in event for event in pool.drain_events())
-    again = _collected(pool, 4)
-    assert again["valid"].all() and np.array_equal(again["reward"], reference["reward"])
-    assert pool.timing()["lost_workers"] == 1.0
+@pytest.fixture(scope="class")
+def started(cluster: str) -> Iterator[tuple[Any, str]]:
+    """A pool of three labels on two workers, and what was said while it waited for them."""
+    with pytest.MonkeyPatch.context() as patch, contextlib.redirect_stderr(io.StringIO()) as said:
+        # The workers' imports take longer than this, so the message that tells the user about the waiting appears.
+        patch.setattr("dgrasp.pool.ray._SAY_AFTER_S", 0.0)
+        pool = make_pool(make_spec(3, QUICK))
+    yield pool, said.getvalue()
     pool.close()
 
 
-def test_a_run_with_a_killed_worker_makes_all_its_updates(cluster: str, tmp_path: Path) -> None:
-    config = load_config(None, [*QUICK, "ppo.epochs=4", "ppo.minibatches=1", "ppo.hidden=[8]"])
-    pool = make_pool(make_spec(3, QUICK))
-    collect = pool.collect
+@pytest.fixture
+def pool(started: tuple[Any, str]) -> Any:
+    """The pool of `started`, whose earlier events have been read."""
+    started[0].drain_events()
+    return started[0]
 
-    def strike(actor: Actor, epoch: int, *rest: Any) -> Any:
-        if epoch == 2:
-            os.kill(ray.get(pool._members[0].process_id.remote()), signal.SIGKILL)  # type: ignore[attr-defined]
-        return collect(actor, epoch, *rest)
 
-    pool.collect = strike  # type: ignore[method-assign]
-    Runner(pool, config, tmp_path, {}).learn()
-    with open(tmp_path / "progress.csv", encoding="utf-8") as stream:
-        rows = list(csv.DictReader(stream))
-    assert [row["epoch"] for row in rows] == ["1", "2", "3", "4"] and rows[-1]["lost_workers"] == "1"
-    pool.close()
+class TestOnePool:
+    """Tests of one pool. It takes the cluster's cores, so it is closed before other tests make theirs."""
+
+    def test_a_cluster_gives_what_one_process_gives(self, started: tuple[Any, str]) -> None:
+        (pool, said), serial = started, SerialPool(make_spec(3, QUICK))
+        assert "waiting for 2 of 2 workers" in said
+        nodes = {ray.get(member.process_id.remote()) for member in pool._members}
+        assert len(nodes) == 2, "one worker per node, because each has one core"
+        theirs, ours = _collected(serial, 5), _collected(pool, 5)
+        for name, array in theirs.items():
+            assert array.tobytes() == ours[name].tobytes(), name
+        assert 0.0 < pool.timing()["physics_share"] < 1.0
+        rng = np.random.default_rng(1)
+        seen = [[one.reset(3, "test").copy()] for one in (serial, pool)]
+        for t in range(4):
+            if t == 2:
+                serial.remove_table()
+                pool.remove_table()
+            actions = rng.normal(size=(3, 51)).astype(np.float32)
+            for one, log in zip((serial, pool), seen, strict=True):
+                step = one.step(actions)
+                parts = (step.observation, step.reward, one.state.gc, one.state.table_contact)
+                log += [part.copy() for part in parts]
+        assert all(np.array_equal(a, b) for a, b in zip(*seen, strict=True))
+        serial.close()
+
+    def test_a_test_reports_unstable_simulations_and_the_time_in_the_engine(self, pool: Any) -> None:
+        """As in the process pool, reports also come from the steps and phases of a test, not only from collections."""
+        serial = SerialPool(make_spec(3, QUICK))
+        for one in (serial, pool):
+            one.reset(3, "test")
+            actions = np.zeros((3, 51), np.float32)
+            one.step(actions)
+            actions[1] = np.nan
+            assert one.step(actions).broken.tolist() == [False, True, False]
+            one.remove_table()
+            one.step(np.zeros((3, 51), np.float32))
+        (event,) = pool.drain_events()
+        assert [event] == serial.drain_events() and "env 1" in event and "step 2" in event
+        assert pool.drain_events() == []
+        timing = pool.timing()
+        assert 0.0 < timing["physics_s"] < timing["wall_s"] * timing["workers"] and 0.0 < timing["physics_share"] < 1.0
+        # Another reset restarts the count, and no time is counted twice.
+        before = timing["physics_s"]
+        pool.reset(3, "test")
+        assert pool.timing()["physics_s"] < before
+        serial.close()
+
+    def test_a_killed_worker_is_started_again_and_its_experience_dropped(self, pool: Any) -> None:
+        reference, before = _collected(pool, 4), pool.timing()["lost_workers"]
+        victim = ray.get(pool._members[1].process_id.remote())
+        os.kill(victim, signal.SIGKILL)
+        got = _collected(pool, 4)
+        assert got["valid"].tolist() == [True, False, True]
+        assert np.array_equal(got["reward"][:, [0, 2]], reference["reward"][:, [0, 2]])
+        assert any("worker 1 died" in event for event in pool.drain_events())
+        again = _collected(pool, 4)
+        assert again["valid"].all() and np.array_equal(again["reward"], reference["reward"])
+        assert pool.timing()["lost_workers"] == before + 1.0
+
+    def test_a_run_with_a_killed_worker_makes_all_its_updates(
+        self, pool: Any, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+    ) -> None:
+        config = load_config(None, [*QUICK, "ppo.epochs=4", "ppo.minibatches=1", "ppo.hidden=[8]"])
+        collect, before = pool.collect, pool.timing()["lost_workers"]
+
+        def strike(actor: Actor, epoch: int, *rest: Any) -> Any:
+            if epoch == 2:
+                os.kill(ray.get(pool._members[0].process_id.remote()), signal.SIGKILL)
+            return collect(actor, epoch, *rest)
+
+        monkeypatch.setattr(pool, "collect", strike)
+        Runner(pool, config, tmp_path, {}).learn()
+        with open(tmp_path / "progress.csv", encoding="utf-8") as stream:
+            rows = list(csv.DictReader(stream))
+        assert [row["epoch"] for row in rows] == ["1", "2", "3", "4"]
+        assert float(rows[-1]["lost_workers"]) == before + 1.0
 
 
 def test_a_late_worker_is_left_behind_and_comes_back(cluster: str) -> None:

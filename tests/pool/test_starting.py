@@ -17,7 +17,7 @@ from dgrasp.pool.worker import shared_arrays
 
 SCRIPT = """
 import gymnasium, dgrasp.gym
-env = gymnasium.make_vec("dgrasp/Grasp-v0", num_envs=2, pool="process", overrides=["pool.workers=2"])
+env = gymnasium.make_vec("dgrasp/Grasp-v0", num_envs=1, pool="process", overrides=["pool.workers=1"])
 print("made", env.reset(seed=1)[0].shape[0])
 env.close()
 """
@@ -42,14 +42,14 @@ def test_a_script_without_a_guard_is_told_of_it(tmp_path: Path) -> None:
 def test_a_script_with_a_guard_runs(tmp_path: Path) -> None:
     (tmp_path / "script.py").write_text(GUARDED)
     done = run(["script.py"], None, tmp_path)
-    assert (done.returncode, done.stdout, done.stderr) == (0, "made 2\n", "")
+    assert (done.returncode, done.stdout, done.stderr) == (0, "made 1\n", "")
 
 
 def test_a_script_from_standard_input_is_told_to_be_a_file(tmp_path: Path) -> None:
     done = run(["-"], SCRIPT, tmp_path)
     assert done.returncode == 1 and done.stderr.count("Traceback") == 1
     last = done.stderr.strip().splitlines()[-1]
-    assert "<stdin>: worker processes start from the file of the script" in last and "save it as a file" in last
+    assert "<stdin>: worker processes start from the file of the script" in last and "as a file, put what" in last
 
 
 def test_shared_memory_that_cannot_be_had(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -9,11 +9,15 @@ import pytest
 import trimesh
 from scipy.spatial.transform import Rotation
 
+from dgrasp.config.sections import ActionConfig, PhysicsConfig
+from dgrasp.objects.model import ObjectModel
 from dgrasp.types import Array
 from raisim_like import RigidBody, Shape, World, integrate
 from raisim_like.batch import Preset
 from raisim_like.engines.bullet.rest import ends
+from raisim_like.rotations import transform
 from tests.raisim_like.test_rigid_body import wxyz
+from tests.scenes import OneScene, free_hand
 
 DT, G = 0.00222, 9.81
 LYING = Rotation.from_euler("y", 90, degrees=True)
@@ -24,9 +28,9 @@ def solid_cylinder(radius: float, length: float, mass: float) -> Array:
     return np.diag([side, side, mass * radius**2 / 2])
 
 
-def bar(path: Path, low: float, high: float) -> Shape:
-    """A hull with 16 sides between two heights, of 8 mm radius."""
-    mesh = trimesh.creation.cylinder(0.008, high - low, sections=16)
+def bar(path: Path, low: float, high: float, sides: int = 16, radius: float = 0.008) -> Shape:
+    """A hull with `sides` sides between two heights."""
+    mesh = trimesh.creation.cylinder(radius, high - low, sections=sides)
     mesh.apply_translation([0, 0, (low + high) / 2])
     mesh.export(path)
     return Shape("hull", file=path)
@@ -68,6 +72,46 @@ def test_what_lies_untouched_stays(engine: str, preset: Preset, mass: float, fri
         assert np.linalg.norm(state[:3] - start[:3]) < 1e-3, body.id
         assert np.degrees(turned.magnitude()) < 1.0, body.id
     world.close()
+
+
+@pytest.mark.parametrize(("radius", "length", "sides", "mass", "friction"),
+                         [(0.007, 0.128, 38, 0.7, 0.4), (0.0106, 0.057, 43, 0.058, 0.8), (0.0066, 0.182, 36, 0.2, 0.4)])
+def test_a_hull_stays_on_a_narrow_face(
+    engine: str, radius: float, length: float, sides: int, mass: float, friction: float, tmp_path: Path
+) -> None:
+    world = World(engine, DT, "fast")
+    world.set_default_material(friction)
+    world.add_ground()
+    shape = bar(tmp_path / "bar.obj", -length / 2, length / 2, sides, radius)
+    body = world.add_body([shape], mass, solid_cylinder(radius, length, mass))
+    on_a_face = LYING * Rotation.from_euler("z", np.pi / sides)
+    body.set_state((0.1, 0.05, radius * np.cos(np.pi / sides)), wxyz(Rotation.from_euler("z", 2.0) * on_a_face))
+    start = body.state
+    world.integrate(round(5.0 / DT))
+    turned = Rotation.from_quat(body.state[[4, 5, 6, 3]]) * Rotation.from_quat(start[[4, 5, 6, 3]]).inv()
+    assert np.linalg.norm(body.state[:3] - start[:3]) < 1e-3 and np.degrees(turned.magnitude()) < 1.0
+    world.close()
+
+
+@pytest.mark.parametrize("preset", ["faithful", "fast"])
+def test_a_pencil_that_stands_beside_a_hand_stays(engine: str, preset: Preset) -> None:
+    """A hand's weight in the solver, 13 steps at a time, as in a scene."""
+    inertia = np.diag([1.53e-5, 1.53e-5, 3.06e-8])
+    # A fitted shape is turned by rounding, and Bullet's arithmetic then differs.
+    shape = Shape("cylinder", (0.0031291887129068713, 0.175), quaternion=(0.9999999999999931, 0.0, 0.0, 1.18e-7))
+    pencil = ObjectModel("pencil", (shape,), 0.006, np.zeros(3), inertia)
+    scene = OneScene(free_hand(), pencil, PhysicsConfig(preset=preset), engine)
+    T_WO = transform(Rotation.from_euler("z", 0.3).as_matrix(), np.array([0.5, 0.2, 0.5 + 0.0875]))
+    scene.place(transform(np.eye(3), np.array([0.5, -0.3, 1.5])), np.zeros(45), T_WO, 0.5)
+    scene.set_gains(ActionConfig(), 1000.0, 0.0)
+    scene.set_target(np.zeros(51))
+    start = scene.state.bodies[0, 0].copy()
+    scene.advance(225)
+    scene.advance(round(5.0 / DT) - 225)
+    state = scene.state.bodies[0, 0]
+    turned = Rotation.from_quat(state[[4, 5, 6, 3]]) * Rotation.from_quat(start[[4, 5, 6, 3]]).inv()
+    assert np.linalg.norm(state[:3] - start[:3]) < 1e-3 and np.degrees(turned.magnitude()) < 1.0
+    scene.close()
 
 
 def test_bars_stay_at_low_friction_however_they_lie(engine: str) -> None:

@@ -1,13 +1,15 @@
-"""URDFs of others: scaled meshes, links without masses, joints that mimic."""
+"""URDFs of others: scaled meshes, links without masses."""
 
 from __future__ import annotations
 
 import itertools
+import re
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from dgrasp.files.paths import data_root
 from dgrasp.geometry.inertia import shape_properties
 from dgrasp.types import Array
 from raisim_like.shape_inertia import shape_inertia
@@ -31,13 +33,13 @@ def write_obj(path: Path, points: Array) -> Path:
     return path
 
 
-def robot(tmp_path: Path, links: list[str], joint: str = "") -> UrdfModel:
+def robot(tmp_path: Path, links: list[str]) -> UrdfModel:
     """A chain of sliders along z; links: what each holds."""
     lines = ['<robot name="r"><link name="base"/>']
     for i, content in enumerate(links):
         lines.append(f'<link name="l{i}">{content}</link><joint name="j{i}" type="prismatic"><axis xyz="0 0 1"/>'
                      f'<limit lower="-1" upper="1"/><parent link="{f"l{i - 1}" if i else "base"}"/>'
-                     f'<child link="l{i}"/>{joint}</joint>')
+                     f'<child link="l{i}"/></joint>')
     (tmp_path / "robot.urdf").write_text("".join([*lines, "</robot>"]))
     return read_urdf(tmp_path / "robot.urdf")
 
@@ -72,12 +74,33 @@ def test_the_mass_of_a_scaled_hull_by_hand(tmp_path: Path) -> None:
 
 def test_links_without_inertial(tmp_path: Path) -> None:
     box = collision('<box size="0.1 0.2 0.3"/>', '<origin xyz="0 0 0.5"/>')
-    with pytest.warns(UserWarning, match=r"no <inertial> in l0, l2; taken from the collision shapes at 1000 kg/m3"):
+    with pytest.warns(UserWarning, match=r"no <inertial> with a mass in l0, l2; taken from the .* at 1000 kg/m3"):
         model = robot(tmp_path, [box, INERTIAL + box, box + box])
     # 0.1 x 0.2 x 0.3 m are 6 kg; two boxes at one place count twice.
     assert [link.mass for link in model.links] == pytest.approx([6.0, 2.0, 12.0])
     np.testing.assert_allclose(model.links[0].com, [0.0, 0.0, 0.5])
     np.testing.assert_allclose(model.links[0].inertia, np.diag([0.065, 0.05, 0.025]), atol=1e-12)
+
+
+def test_the_free_hand_without_inertial(tmp_path: Path, engine: str) -> None:
+    file = data_root() / "free" / "hand" / "free_hand.urdf"
+    stated = read_urdf(file)
+    (tmp_path / "hand.urdf").write_text(re.sub(r"<inertial>.*?</inertial>", "", file.read_text(), flags=re.DOTALL))
+    with pytest.warns(UserWarning, match=r"no <inertial> with a mass in palm, index_proximal, .*, thumb_distal;"):
+        system = World(engine).add_articulated_system(tmp_path / "hand.urdf")
+    # Its shapes approximate its parts, whose density is that of water: 306 g in place of 337 g.
+    for link, known in zip(system.model.links, stated.links, strict=True):
+        assert link.mass == pytest.approx(known.mass, rel=0.25) and (link.mass > 0.0) == link.inertia.any()
+    assert system.model.mass == pytest.approx(0.306, abs=1e-3)
+
+
+def test_a_stated_mass_of_zero_is_none(tmp_path: Path) -> None:
+    box = collision('<box size="0.1 0.2 0.3"/>')
+    zero = INERTIAL.replace('"2"', '"0"')
+    # The slider before, which states nothing but zeros, carries nothing.
+    with pytest.warns(UserWarning, match=r"no <inertial> with a mass in l1, l2;"):
+        model = robot(tmp_path, [zero, box, zero + box])
+    assert [link.mass for link in model.links] == pytest.approx([0.0, 6.0, 6.0])
 
 
 def test_masses_on_the_links_before_are_left_there(tmp_path: Path) -> None:
@@ -93,12 +116,6 @@ def test_meshes_of_which_no_mass_is_known(tmp_path: Path) -> None:
         assert robot(tmp_path, [collision('<mesh filename="part.stl"/>')]).mass == 0.0
 
 
-def test_mimic_joints_are_named(tmp_path: Path) -> None:
-    with pytest.warns(UserWarning, match=r"<mimic> is not simulated: j0 \(of j1\)"):
-        robot(tmp_path, [INERTIAL], '<mimic joint="j1" multiplier="0.5"/>')
-
-
-@pytest.mark.parametrize("engine", ["pybullet", "mujoco"])
 def test_scaled_meshes_collide_at_their_scale(tmp_path: Path, engine: str) -> None:
     write_obj(tmp_path / "part.obj", corners(1.0, 1.0, 1.0))
     text = collision('<mesh filename="part.obj" scale="0.1 0.1 0.04"/>') + collision(

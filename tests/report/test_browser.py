@@ -45,17 +45,18 @@ class Browser:
         self.file = folder / "report.html"
         self.file.write_text(page(), encoding="utf-8")
 
-    def _run(self, how: str, view: str) -> str:
+    def _run(self, how: str, view: str, script: str = "") -> str:
         self.looks += 1
+        self.file.write_text(page().replace("</body>", f"<script>{script}</script></body>"), encoding="utf-8")
         profile = self.folder / f"profile{self.looks}"
         words = [self.binary, *FLAGS, f"--user-data-dir={profile}", how, f"{self.file.as_uri()}#{view}"]
         done = subprocess.run(words, capture_output=True, text=True, timeout=180)
         assert done.returncode == 0, done.stderr[-2000:]
         return done.stdout
 
-    def dom(self, view: str) -> str:
-        """The page's elements after its scripts have run."""
-        return self._run("--dump-dom", view)
+    def dom(self, view: str, script: str = "") -> str:
+        """The page's elements after its scripts, and another one, have run."""
+        return self._run("--dump-dom", view, script)
 
     def picture(self, view: str) -> Array:
         """The middle of the replay in full-window mode, (300, 500, 3), without text and controls."""
@@ -91,5 +92,27 @@ def test_the_replay_moves_and_turns(browser: Browser) -> None:
     # The hand turns by two radians and the object sinks by 7 cm, so a good part of the picture changes.
     for other in (end, turned):
         assert (np.abs(start - other).max(axis=2) > 30).mean() > 0.03
-    # The picture shows the object, the only blue thing.
-    assert ((start[..., 2] - start[..., 0]) > 40).mean() > 0.01
+    assert blue(start) > 0.01
+
+
+def blue(picture: Array) -> float:
+    """The share of the picture that shows the object, the only blue thing."""
+    return float(((picture[..., 2] - picture[..., 0]) > 40).mean())
+
+
+def test_the_collision_shapes_take_the_place_of_the_surfaces(browser: Browser) -> None:
+    # Replay 2 shows a box that collides as one of twice its width, seen here from the side.
+    surfaces, shapes = (browser.picture(f"replay=2&t=0&zoom=1.5&pitch=0&yaw=90&shapes={on}") for on in (0, 1))
+    assert blue(shapes) > 1.5 * blue(surfaces) > 0.0
+
+
+def test_the_key_s_and_the_box_switch_the_collision_shapes(browser: Browser) -> None:
+    script = """
+      const box = document.getElementById("shapes"), log = [];
+      const note = () => log.push(Number(box.checked), Number(!document.getElementById("ghost-key").hidden));
+      const press = (how) => document.getElementById("stage").dispatchEvent(
+        new KeyboardEvent("keydown", { key: "s", bubbles: true, ...how }));
+      note(); press({}); note(); press({ ctrlKey: true }); note(); press({}); note(); box.click(); note();
+      document.documentElement.dataset.log = log.join("");"""
+    # On by the address; off by the key; with control the key is the browser's; on by the key; off by the box.
+    assert 'data-log="1100001100"' in browser.dom("shapes=1", script)

@@ -121,6 +121,12 @@ def test_beside_the_paper_there_are_its_numbers() -> None:
     assert 'class="paper"' not in page().split("<main>")[1] and "ot comparable with the paper" in page()
 
 
+def test_the_head_says_the_inertia() -> None:
+    text = html_text(evaluated({**FREE, "inertia": "mixed"}), records(), drawn())
+    told = "the authors&#x27; inertia of 1 kg m2, true inertia for added objects"
+    assert f"<dt>Inertia</dt><dd>{told}</dd>" in text and "<dt>Inertia</dt>" not in page()
+
+
 def test_names_from_label_files_cannot_become_markup() -> None:
     evil = '<img src=x onerror=alert(1)>"</script>'
     names = (evil, MUG)

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import base64
+import dataclasses
 import json
 import shutil
 import subprocess
@@ -15,7 +16,7 @@ from dgrasp.view.meshes import body_poses
 from raisim_like.rotations import matrix_from_quaternion
 from tests.eval.records import DT, standing
 from tests.export.sequences import STEPS, episode, meshes
-from tests.report.episodes import SUGAR, drawn, evaluated, records
+from tests.report.episodes import MUG, SUGAR, drawn, evaluated, records
 
 VIEWER = Path(replay.__file__).with_name("viewer.js")
 
@@ -67,6 +68,19 @@ def test_unpacking_gives_back_meshes_and_poses() -> None:
     assert (one["n"], one["dt"], one["start"]) == (STEPS, DT, 2.0)
 
 
+def test_collision_shapes_are_packed_once_for_all_replays() -> None:
+    shown = [("best", record, line) for record, line in zip(records(), evaluated().per_label, strict=True)]
+    data = replay.pack(shown, drawn())
+    assert len(data["replays"]) == 4 and set(data["shapes"]) == {"hand", "objects"}
+    assert len(data["shapes"]["hand"]) == 16 and set(data["shapes"]["objects"]) == {SUGAR, MUG}
+    shape = data["shapes"]["objects"][SUGAR]
+    vertices = np.array(shape["lo"]) + shape["step"] * numbers(shape["v"], "<u2", 3)
+    assert np.abs(vertices).max(axis=0) == pytest.approx([0.04, 0.05, 0.03], abs=2e-6)
+    # One stored sequence without shapes: the page has none.
+    lacking = {**drawn(), MUG: dataclasses.replace(drawn()[MUG], shapes=())}
+    assert replay.pack(shown, lacking)["shapes"] is None
+
+
 def test_a_target_is_one_more_body() -> None:
     target = np.eye(4)
     target[:3, 3] = [0.4, 0.1, 0.9]
@@ -107,6 +121,12 @@ def test_the_viewer_sees_what_was_packed(tmp_path: Path) -> None:
       out.counts = [...scene.hand, scene.objects[r.object]].map((g) => g.count);
       const g = scene.objects[r.object];
       out.normals = Array.from(g.normals); out.positions = Array.from(g.positions);
+      const s2 = [0, 1, 2].map((k) => scene.shapes.objects[r.object].positions.reduce((m, v, i) =>
+        (i % 3 === k ? Math.max(m, v) : m), 0));
+      out.shape = s2; out.shapes = scene.shapes.hand.map((g) => g.count);
+      out.outline = Array.from(R.outline(scene.shapes.objects[r.object]).positions);
+      out.none = R.decode({{...JSON.parse(require("fs").readFileSync({json.dumps(str(tmp_path / "data.json"))})),
+        shapes: null}}).shapes;
       out.seconds = [0, 2, 7].map((f) => R.seconds(r, f));
       out.loss = R.lossFrame(r); out.held = R.lossFrame(scene.replays[0]);
       const view = R.camera({{yaw: 0.4, pitch: 0.3, zoom: 1}}, r.target, 1.5);
@@ -133,6 +153,12 @@ def test_the_viewer_sees_what_was_packed(tmp_path: Path) -> None:
     normals, positions = (np.array(out[name]).reshape(-1, 3) for name in ("normals", "positions"))
     assert np.abs(normals).max(axis=1) == pytest.approx(1.0, abs=1e-5)
     assert ((normals * positions).sum(axis=1) > 0).all()
+    # The collision shape of the sugar box, and its twelve edges; the diagonals of its sides are no edges.
+    assert out["shape"] == pytest.approx([0.04, 0.05, 0.03], abs=2e-6) and out["none"] is None
+    assert out["shapes"] == [36] + [0] * 14 + [36]
+    ends = np.array(out["outline"]).reshape(-1, 2, 3)
+    lengths = np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1)
+    assert np.sort(lengths) == pytest.approx([0.06] * 4 + [0.08] * 4 + [0.10] * 4, abs=1e-5)
     assert out["seconds"] == pytest.approx([-2 * DT, 0.0, 5 * DT])
     # The object is lost in step 6, the last step with a touch before it lands.
     assert out["loss"] == pytest.approx(6.0) and out["held"] is None

@@ -103,7 +103,11 @@ def test_what_is_there_is_evaluated_once_and_the_rest_is_named(
     assert baseline["n"] == 2 and 0.0 <= baseline["values"]["success"] <= 1.0 and not baseline["comparable_with_paper"]
     assert ours["values"] == {} and ours["missing"][0].startswith("python train.py --cfg cfg/dexycb.yaml --run")
     out = capsys.readouterr().out
-    assert "GT+PD *" in out and "not the paper's: not comparable" in out and "missing" in out
+    assert "GT+PD *" in out and "missing" in out
+    # Why the row is marked stands above the table.
+    above = out.split("GT+PD *")[0]
+    assert "not the paper's: not comparable" in above and "the hand is free" in above
+    assert baseline["paper"] is None and ours["paper"]["success"] > 0.0
     assert "| dexycb train | GT+PD * | 2 |" in (tmp_path / "t" / "grasp.md").read_text()
 
     def refuse(*_: Any) -> None:
@@ -167,6 +171,7 @@ def test_seeds_are_trained_apart_and_averaged(
 @pytest.mark.parametrize("words", [
     ["--baseline", "gt_pd"], ["--split", "test"], ["--labels", "dexycb"], ["--objects", "004_sugar_box"],
     ["--json", "x.json"], ["--report", "x.html"], ["--records", "x"], ["--gif", "x.gif"], ["--motion", "near"],
+    ["--shapes"],
 ])  # fmt: skip
 def test_a_table_refuses_what_it_has_no_use_for(
     words: list[str], folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
@@ -297,3 +302,9 @@ def test_a_training_as_its_row_asks_for_differs_in_nothing(tmp_path: Path, monke
         (note,) = trainings.about(chosen[key])
         keys = "labels.objects=['005_tomato_soup_can'], env.grasp_steps=2"
         assert note.endswith(f"; differs from {said}{keys}; differs from this command: it was trained with {keys}")
+    # A run on the authors' release that names their inertia has what null means there; on the free set it has not.
+    run = chosen["all_objects"]
+    config = load_config(find_config(Path(run.cfg or "cfg/dexycb.yaml")), ["physics.official_compat=true"])
+    for kind, differs in (("release", False), ("free", True)):
+        write_description(trainings.run_dir(run), config, {"kind": kind})
+        assert ("official_compat=True" in trainings.about(run)[0]) == differs

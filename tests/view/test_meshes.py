@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -8,10 +9,25 @@ import pytest
 from dgrasp.geometry.intersection import Body, body
 from dgrasp.hand.mano.skeleton import N_PARTS
 from dgrasp.hand.model import HandModel
+from dgrasp.objects.model import object_model
 from dgrasp.types import Array
-from dgrasp.view.camera import eye, viewpoint
-from dgrasp.view.meshes import PART_FACES, Mesh, blendable, body_poses, hand_meshes, light, merged, table_tops
+from dgrasp.view.camera import viewpoint
+from dgrasp.view.meshes import (
+    OBJECT_FACES,
+    PART_FACES,
+    Mesh,
+    blendable,
+    body_poses,
+    hand_meshes,
+    hand_shapes,
+    light,
+    merged,
+    object_shapes,
+    scene_meshes,
+    table_tops,
+)
 from raisim_like.rotations import matrix_from_euler, matrix_from_quaternion
+from raisim_like.shapes import Shape
 from tests.eval.records import standing
 from tests.export.sequences import STEPS, box, episode, meshes
 from tests.scenes import free_hand
@@ -76,6 +92,40 @@ def test_every_part_of_the_free_hand_has_a_light_mesh_in_its_frame(hand: HandMod
         assert np.linalg.norm(part.vertices, axis=1).min() < 0.03
 
 
+def test_the_hands_shapes_are_what_collides(hand: HandModel) -> None:
+    parts = hand_shapes(hand)
+    # The free hand is a box and 15 capsules: 12 triangles, and 8 x 16 + 2 x 16.
+    assert [len(part.faces) for part in parts] == [12] + [160] * 15
+    (capsule,) = hand.urdf.links[int(hand.part_links[1])].shapes
+    radius, length = capsule.size
+    apart = np.linalg.norm(parts[1].vertices - np.array(capsule.position), axis=1)
+    assert apart.max() == pytest.approx(length / 2 + radius, rel=0.05)
+
+
+def test_shapes_of_an_object_stay_apart(hand: HandModel) -> None:
+    # Two boxes that overlap. Their union would have other corners.
+    shapes = (Shape("box", (0.1, 0.1, 0.1)), Shape("box", (0.1, 0.1, 0.1), position=(0.05, 0.05, 0.05)))
+    model = object_model("two", shapes, 0.1, False)
+    mesh = object_shapes(model)
+    assert len(mesh.vertices) == 16 and len(mesh.faces) == 24 and mesh.faces[12:].min() == 8
+    assert mesh.vertices.min() == pytest.approx(-0.05) and mesh.vertices.max() == pytest.approx(0.10)
+    drawn = scene_meshes(hand, model)
+    collision = drawn.colliding()
+    assert collision.object.faces.tolist() == mesh.faces.tolist()
+    assert [len(part.faces) for part in collision.hand] == [12] + [160] * 15
+    assert len(drawn.hand[1].faces) != 160 and collision.bodies == drawn.bodies
+
+
+def test_a_hull_of_many_triangles_is_drawn_with_few(tmp_path: Path) -> None:
+    full = ball(40)
+    file = tmp_path / "ball.obj"
+    file.write_text("".join(f"v {x} {y} {z}\n" for x, y, z in full.vertices.tolist())
+                    + "".join(f"f {a} {b} {c}\n" for a, b, c in (full.faces + 1).tolist()))
+    mesh = object_shapes(object_model("ball", (Shape("hull", file=file),), 0.1, False))
+    assert len(full.faces) == 4 * 40 * 39 and 1000 < len(mesh.faces) <= OBJECT_FACES
+    assert np.linalg.norm(mesh.vertices, axis=1) == pytest.approx(0.05, abs=1e-3)
+
+
 def test_body_poses_are_the_parts_and_the_object() -> None:
     record = episode()
     q, t = body_poses(meshes(), record)
@@ -107,10 +157,18 @@ def test_the_table_and_the_camera() -> None:
     assert table_tops(moved, 0.5, 0.25).tolist() == [0.5] * STEPS
     # An episode that begins in the label's pose has no table.
     assert table_tops(replace(moved, window_start=0), 0.5, 0.25).tolist() == [0.25] * STEPS
-    target, yaw = viewpoint(record)
+    target, yaw, distance = viewpoint(record)
     # At step 2: 0.65 of the object (0.5, 0, 0.58), 0.35 of the wrist (0.5, 0.1, 0.7), and 5 cm lower.
     assert target == pytest.approx([0.5, 0.035, 0.65 * 0.58 + 0.35 * 0.7 - 0.05])
-    assert np.linalg.norm(eye(target, yaw) - target) == pytest.approx(0.7)
+    assert distance == 0.7 and np.linalg.norm(viewpoint(record).eye - target) == pytest.approx(0.7)
+    # Wrist and object start within x 0.5, y 0 to 0.1, z 0.58 to 0.7 and have a target at (0.9, 0, 0.88).
+    there = np.eye(4)
+    there[:3, 3] = [0.9, 0.0, 0.88]
+    moving = viewpoint(replace(record, T_WG=standing(there, STEPS)))
+    assert moving.target == pytest.approx([0.7, 0.05, 0.73])
+    # Half of the way's diagonal and 12 cm fill half of the field of view of 40 degrees.
+    reach = np.linalg.norm([0.4, 0.1, 0.3]) / 2.0 + 0.12
+    assert moving.distance == pytest.approx(reach / np.sin(np.deg2rad(20.0)))
     # The palm faces -y of the wrist; the camera is on its side.
     palm = -record.T_WH[2, :2, 1]
     assert np.array([np.cos(yaw), np.sin(yaw)]) @ palm > 0.0

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import shutil
-import tempfile
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -13,6 +11,7 @@ from typing import Any, Literal
 import numpy as np
 
 from dgrasp.errors import DataError
+from dgrasp.files.atomic import replaced_folder
 from dgrasp.geometry.approximate import Fit, fit_box, fit_capsule, fit_hull, part_properties
 from dgrasp.geometry.inertia import MassProperties
 from dgrasp.geometry.part_mesh import PartMesh
@@ -66,12 +65,7 @@ def build_hand(
     solids = [part_properties(part) for part in parts]
     if limits is None:
         limits = _table(model, joints, tips)
-    try:
-        out.parent.mkdir(parents=True, exist_ok=True)
-        folder = Path(tempfile.mkdtemp(dir=out.parent, prefix=f".{out.name}."))
-    except OSError as error:
-        raise DataError(f"{out}: cannot be written ({error.strerror or error})") from None
-    try:
+    with replaced_folder(out) as folder:
         fits = [_fit(part, shapes, folder) for part in parts]
         for part in parts:
             write_obj(folder / f"{part.name}.obj", part)
@@ -84,14 +78,6 @@ def build_hand(
         load_hand(urdf, identity, model.side, mano=True)
         meta = _describe(identity, model, betas, shapes, provenance, parts, fits)
         (folder / store.META_FILE).write_text(json.dumps(meta, indent=1) + "\n", encoding="utf-8", newline="\n")
-        os.chmod(folder, 0o755)
-        if os.path.isdir(out):
-            out.rmdir()
-        folder.rename(out)
-    except OSError as error:
-        raise DataError(f"{out}: cannot be written ({error.strerror or error})") from None
-    finally:
-        shutil.rmtree(folder, ignore_errors=True)
     return identity
 
 

@@ -50,7 +50,7 @@ def segment(vertices: Array, faces: Array, weights: Array, joints: Array) -> lis
 
 
 def closed_volume(vertices: Array, faces: Array) -> float:
-    """Volume in m^3 of the whole skin, its wrist closed as `segment` closes it."""
+    """Volume in m^3 of the whole skin (V, 3) m, (F, 3), its wrist closed as `segment` closes it."""
     caps, centers = _fans(faces, vertices, len(vertices))
     return mesh_volume(np.concatenate([vertices, centers]), np.concatenate([faces, caps]))
 

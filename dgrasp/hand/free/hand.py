@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
+from dgrasp.files.atomic import write_atomic
 from dgrasp.files.paths import data_root
 from dgrasp.hand.builder.build import primitive_links
 from dgrasp.hand.builder.urdf_writer import hand_urdf
@@ -23,7 +24,7 @@ URDF_PATH = data_root() / "free" / "hand" / "free_hand.urdf"
 
 def free_hand_urdf() -> str:
     """The text of the URDF."""
-    # The words of the file that ships, names of then included: policies and results name the hash of its bytes.
+    # The comment of the file that ships, with the module names of its time: policies and results name the file's hash.
     command = "python -m dgrasp.hand.free_hand"
     comment = f"Written by `{command}` from free_skin.npz; change dgrasp/hand/free_anatomy.py, not this file."
     model = free_skin()
@@ -35,8 +36,7 @@ def free_hand_urdf() -> str:
 def main(arguments: list[str]) -> None:
     """Write the URDF to the given file, by default to `URDF_PATH`."""
     path = Path(arguments[0]) if arguments else URDF_PATH
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(free_hand_urdf(), encoding="utf-8", newline="\n")
+    write_atomic(path, free_hand_urdf())
     print(path)
 
 

@@ -15,6 +15,7 @@ import numpy as np
 
 from dgrasp.errors import DataError
 from dgrasp.files import sparse
+from dgrasp.files.arrays import plain_text
 from dgrasp.files.joblib import PlainUnpickler
 from dgrasp.files.npz import open_npz
 from dgrasp.files.pickles import Globals, read_pickle
@@ -75,7 +76,9 @@ def _read_npz(path: Path) -> dict[str, Any]:
     with open_npz(path, "MANO file", MAX_UNPACKED_BYTES) as archive:
         there = [name.removesuffix(".npy") for name in archive.names]
         content = {name: archive.read(name, "biufUSO", _ManoUnpickler) for name in there if name in ENTRIES}
-    return {name: array.item() if array.shape == () else array for name, array in content.items()}
+    # The others are not read; a message may name them.
+    return dict.fromkeys(there) | {name: array.item() if array.shape == () else array
+                                   for name, array in content.items()}
 
 
 def model_of(content: Any, path: Path) -> ManoModel:
@@ -90,7 +93,7 @@ def _model(content: Any) -> ManoModel:
     if not isinstance(content, dict):
         raise DataError(f"holds a {type(content).__name__}; expected a dictionary; {_GIVE}")
     for key, expected in (("bs_style", "lbs"), ("bs_type", "lrotmin")):
-        if key in content and content[key] != expected:
+        if key in content and plain_text(content[key]) != expected:
             raise DataError(f"{key} is {reprlib.repr(content[key])}; expected {expected!r}, MANO's skinning")
     template = _array(content, "v_template", (None, 3))
     n = len(template)

@@ -60,6 +60,15 @@ class ManoModel:
         """(V, 16) skinning weights in the order of `skeleton.PARTS`."""
         return self.weights[:, PART_TO_MANO]
 
+    def own_betas(self, betas: Array) -> Array:
+        """Betas (N, S'), without zeros beyond the model's S. Raises `DataError` where those are not zero."""
+        betas = np.asarray(betas, dtype=float)
+        n = self.shape_basis.shape[2]
+        if betas.ndim != 2 or (betas[:, n:] != 0.0).any():
+            raise DataError(f"betas of shape {betas.shape}; expected (hands, at most {n}), because the MANO file has "
+                            f"{n} of them; give the file with which the hands were fitted")
+        return betas[:, :n]
+
     def shaped(self, betas: Array) -> tuple[Array, Array]:
         """Vertices (V, 3) and joints (16, 3), order of `skeleton.PARTS`, of a shape (S' <= S,) at the zero pose.
 

@@ -8,7 +8,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from dgrasp.errors import DataError
 from dgrasp.hand.mano.model import ManoModel
@@ -34,6 +33,8 @@ class ManoParams:
 
     def coordinates(self, model: ManoModel) -> tuple[Array, Array]:
         """Wrists T_AH (N, 4, 4) and the project's finger angles hand_pose (N, 45)."""
+        from scipy.spatial.transform import Rotation
+
         R = Rotation.from_rotvec(self.orient).as_matrix()
         return transform(R, wrist_joints(model, self.betas) + self.transl), project_pose(self.pose)
 
@@ -43,16 +44,15 @@ class ManoParams:
 
         The inverse of `coordinates` for rotation vectors of at most pi.
         """
+        from scipy.spatial.transform import Rotation
+
         orient = Rotation.from_matrix(T_AH[:, :3, :3]).as_rotvec()
         return cls(orient, mano_pose(hand_pose), T_AH[:, :3, 3] - wrist_joints(model, betas), betas)
 
 
 def wrist_joints(model: ManoModel, betas: Array) -> Array:
     """(N, 3) m: J0, the wrist joint of shapes betas (N, S) at the zero pose, MANO's frame."""
-    rows = np.asarray(betas, dtype=float)
-    n = model.shape_basis.shape[2]
-    if rows.ndim != 2 or rows.shape[1] > n:
-        raise DataError(f"betas of shape {rows.shape}; expected (hands, at most {n})")
+    rows = model.own_betas(betas)
     if not (np.abs(rows) <= 20.0).all():
         raise DataError("betas beyond 20; expected finite numbers of a few units (mean 0, deviation 1)")
     # J0 needs one row of the regressor, for all shapes at once.

@@ -7,7 +7,6 @@ intrinsic XYZ Euler angles, index, middle, ring, little, thumb.
 from __future__ import annotations
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from dgrasp.errors import DataError
 from dgrasp.hand.mano.model import PART_TO_MANO, ManoModel
@@ -20,6 +19,8 @@ _BACK = np.argsort(_JOINTS)
 
 def project_pose(rotation_vectors: Array) -> Array:
     """The project's (N, 45) Euler angles, rad, of MANO's (N, 45) rotation vectors."""
+    from scipy.spatial.transform import Rotation
+
     vectors = _rows(rotation_vectors)[:, _JOINTS]
     R = Rotation.from_rotvec(vectors.reshape(-1, 3)).as_matrix()
     return euler_from_matrix(R).reshape(len(vectors), 45)
@@ -27,6 +28,8 @@ def project_pose(rotation_vectors: Array) -> Array:
 
 def mano_pose(hand_pose: Array) -> Array:
     """MANO's (N, 45) rotation vectors, with angles up to pi, of the project's (N, 45) Euler angles."""
+    from scipy.spatial.transform import Rotation
+
     angles = _rows(hand_pose)[:, _BACK]
     R = matrix_from_euler(angles.reshape(-1, 3))
     return Rotation.from_matrix(R).as_rotvec().reshape(len(angles), 45)

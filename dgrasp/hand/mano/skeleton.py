@@ -28,18 +28,12 @@ DOF_NAMES = (
 """The 51 generalised coordinates: 3 translations, then intrinsic XYZ Euler angles of wrist and joints."""
 
 N_DOF = len(DOF_NAMES)
-N_WRIST_DOF = 6
 N_FINGER_DOF = N_DOF - 6
 N_PARTS = len(PARTS)
 N_KEYPOINTS = len(KEYPOINTS)
 
-ACTION_SIZES = {"grasp": N_DOF, "motion": N_WRIST_DOF, "flat": N_DOF}
-"""Size of the policy's action for each `env.task`: all joints, or the wrist's alone."""
-
 DISTAL_PARTS = [i for i, name in enumerate(PARTS) if name.endswith("_distal")]
 """Indices of the five fingers' last parts, order of `FINGERS`."""
-
-THUMB_TIP_PART = PARTS.index("thumb_distal")
 
 PART_PARENT = (-1, *(0 if segment == "proximal" else 3 * f + s for f in range(5) for s, segment in enumerate(SEGMENTS)))
 """Index of each part's parent part; the palm has none (-1)."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from dgrasp.errors import DataError
 from dgrasp.types import Array
@@ -42,7 +41,8 @@ def as_rows(value: object, name: str, width: Sequence[int], where: str) -> Array
     """`value` as float64 (n, *width). Raises `DataError` unless it is a plain numeric array of that shape."""
     expected = f"expected an array of numbers of shape (labels, {', '.join(str(n) for n in width)})"
     if not isinstance(value, np.ndarray) or value.dtype.kind not in "biuf":
-        raise DataError(f"{where}: {name} is a {type(value).__name__} without plain numbers; {expected}")
+        kind = f"an array of {value.dtype}" if isinstance(value, np.ndarray) else f"a {type(value).__name__}"
+        raise DataError(f"{where}: {name} is {kind}; {expected}")
     if value.ndim != 1 + len(width) or value.shape[1:] != tuple(width):
         raise DataError(f"{where}: {name} has shape {value.shape}; {expected}")
     return value.astype(np.float64)
@@ -85,6 +85,8 @@ def check_wrist_keypoint(wrist: Array, joints: Array, where: Where) -> None:
 
 def poses_from_quaternions(rows: Array, name: str, where: Where) -> Array:
     """(n, 7), position m and quaternion w, x, y, z, as transforms (n, 4, 4); the quaternions are normalised."""
+    from scipy.spatial.transform import Rotation
+
     check_finite(rows, name, where)
     check_positions(rows[:, :3], name, where)
     length = np.linalg.norm(np.clip(rows[:, 3:], -2.0, 2.0), axis=1)
@@ -97,6 +99,8 @@ def poses_from_quaternions(rows: Array, name: str, where: Where) -> Array:
 
 def poses_from_euler(rows: Array, name: str, where: Where) -> Array:
     """(n, 6), position m and intrinsic XYZ Euler angles rad, as transforms (n, 4, 4)."""
+    from scipy.spatial.transform import Rotation
+
     check_finite(rows, name, where)
     check_positions(rows[:, :3], name, where)
     check_angles(rows[:, 3:], name, where)

@@ -127,6 +127,7 @@ def _measure(
     joints = hand.keypoints_at(label.T_WH[None], label.hand_pose[None])[0]
     limits = hand.limits[N_WRIST:]
     excess = np.maximum(limits[:, 0] - label.hand_pose, label.hand_pose - limits[:, 1])
+    excess = np.maximum(excess, np.abs(label.hand_pose - hand.ties.coordinates(label.hand_pose)))
     penetration, distance = _contact(label, surface, target)
     rest = label.T_WO if label.start is None else label.start.T_WO
     heights = [1000.0 * float((standing @ T[2, :3]).min() + T[2, 3] - TABLE_TOP) for T in (rest, label.T_WO)]

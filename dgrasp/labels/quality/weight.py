@@ -15,7 +15,8 @@ from dgrasp.hand.spheres import HandSpheres
 from dgrasp.types import Array, GraspLabel
 
 REACH = 0.010
-"""m by which a hand may still close: no recorded hand touches the object everywhere that it holds it."""
+"""m. A part this near to the object counts as in contact, because recorded hands do not touch the object everywhere
+where they hold it."""
 _SAMPLES = 8000
 _CONTACTS = 200
 """Most samples near the hand, evenly drawn, at which friction cones are placed."""

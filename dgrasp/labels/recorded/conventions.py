@@ -10,7 +10,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from dgrasp.config.names import MANO_CONVENTIONS as CHOICES
 from dgrasp.errors import DataError
@@ -58,7 +57,11 @@ def read_grasps(table: ManoTable, model: ManoModel, given: Answers, mean_shape: 
         table.need("betas", "add them, or say --mean-shape")
         raise DataError(f"{table.path}: has betas; expected no --mean-shape then")
     betas = np.zeros((n, 1)) if mean_shape else table.values["betas"]
-    wrist_joints(model, betas)
+    try:
+        betas = model.own_betas(betas)
+        wrist_joints(model, betas)
+    except DataError as error:
+        raise DataError(f"{table.path}: {error}") from None
     _check_units(table, given)
     implied = _implied(table)
     for question, answer in implied.items():
@@ -167,6 +170,8 @@ def _choose(table: ManoTable, model: ManoModel, betas: Array, options: list[Answ
 
 def _objects(table: ManoTable, at_origin: bool, given: Answers) -> Array:
     """T_AO (n, 4, 4)."""
+    from scipy.spatial.transform import Rotation
+
     there = [name for name in ("object_rotation", "object_translation") if name in table.values]
     if at_origin:
         if there:

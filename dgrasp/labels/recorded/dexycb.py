@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from dgrasp.errors import DataError
 from dgrasp.files.npz import open_npz
@@ -196,6 +195,8 @@ class Calibration:
 
 def _rigid(value: Any, where: str) -> Array:
     """(4, 4) from 12 numbers, 3 x 4 row by row. The rotation, written with few digits, is made exact."""
+    from scipy.spatial.transform import Rotation
+
     rows = numbers(value, range(12, 13), where).reshape(3, 4)
     R = rows[:, :3]
     if np.abs(R @ R.T - np.eye(3)).max() > 1e-3 or np.linalg.det(R) < 0.0:

@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from dgrasp.errors import DataError
 from dgrasp.files.arrays import plain_text
@@ -55,6 +54,8 @@ def find_frames(root: Path, every: int) -> list[Path]:
 
 def read_annotation(path: Path) -> Annotation:
     """A frame's annotation. Raises `Skip` where hand or object is not annotated, `DataError` for a bad file."""
+    from scipy.spatial.transform import Rotation
+
     content = read_pickle(path, PlainUnpickler, "HO3D annotation", MAX_FILE_BYTES)
     if not isinstance(content, dict):
         raise DataError(f"{path}: holds a {type(content).__name__}; expected a dictionary; get the file again")
@@ -112,9 +113,13 @@ def import_ho3d(
 
 def _label(path: Path, source: str, maker: LabelMaker) -> GraspLabel:
     annotation = read_annotation(path)
+    try:
+        betas = maker.model.own_betas(annotation.params.betas)[0]
+    except DataError as error:
+        raise Skip("shape of another hand model", str(error)) from None
     T_CH, hand_pose = annotation.params.coordinates(maker.model)
     T_OH = np.linalg.inv(annotation.T_CO) @ T_CH[0]
-    contacts = maker.contacts(maker.model, annotation.params.betas[0], T_OH, hand_pose[0], annotation.object)
+    contacts = maker.contacts(maker.model, betas, T_OH, hand_pose[0], annotation.object)
     if not contacts.any():
         raise Skip("hand does not touch the object")
     return maker.label(annotation.object, T_OH, hand_pose[0], np.eye(4), contacts, None, source, on_table=False)

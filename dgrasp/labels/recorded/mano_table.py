@@ -36,6 +36,10 @@ Rotations of the wrist and the 15 finger joints may be matrices (9 numbers) or 6
 
 `params` stands for betas 10, global_orient 3, hand_pose 45 and transl 3 in this order.
 """
+_WHOLE = (48, 96, 144)
+"""Numbers per row of all 16 rotations of a hand as vectors, 6D or matrices."""
+_SAID = {"hand_pose": "1 to 45, 90 or 135; or, with the wrist's rotation first and no global_orient, 48, 96 or 144"}
+"""What is said of the widths of a quantity, where it is no plain range."""
 _COLUMN = re.compile(r"([a-z_]+)_(\d{1,3})")
 _FORM = "expected arrays or columns object, betas, global_orient, hand_pose, transl, object_rotation, " \
         "object_translation (docs/labels.md)"
@@ -77,12 +81,15 @@ def read_mano_table(
     path = Path(path)
     try:
         with path.open("rb") as stream:
-            head = stream.read(2)
+            head = stream.read(6)
     except OSError as error:
         raise DataError(f"{path}: cannot be read ({error.strerror or error})") from None
     columns = None if published is None else published.read(path)
+    if columns is None and head == b"\x93NUMPY":
+        raise DataError(f"{path}: a .npy file, whose array has no name; {_FORM} in a .npz (numpy.savez), or the option "
+                        "--from that reads the file (DexGraspNet's: --from dexgraspnet)")
     if columns is None:
-        columns = _read_npz(path, published) if head == b"PK" else _read_csv(path)
+        columns = _read_npz(path, published) if head.startswith(b"PK") else _read_csv(path)
     if published is not None:
         try:
             columns = published.adapt(columns)
@@ -92,6 +99,9 @@ def read_mano_table(
     if scales.size:
         columns, scale = _of_scale(path, columns, scales, scale)
     names = columns.pop("object", None)
+    if rows_of_6d and any(np.ndim(array) > 2 and array.shape[-2:] == (3, 2) for array in columns.values()):
+        raise DataError(f"{path}: matrices of shape (3, 2) are first two columns; expected no --rotation6d rows then")
+    columns |= _wrist_apart(path, columns)
     matrices = np.asarray(columns.get("hand_pose", [])).size > 45 * len(columns.get("hand_pose", []))
     values = {name: _checked(path, name, array, rows_of_6d) for name, array in columns.items()}
     rows = {name: len(array) for name, array in values.items()}
@@ -137,6 +147,26 @@ def _of_scale(path: Path, columns: dict[str, Any], scales: Array, scale: float |
     return {name: np.asarray(values)[mine] for name, values in columns.items()}, chosen
 
 
+def _wrist_apart(path: Path, columns: dict[str, Any]) -> dict[str, Array]:
+    """global_orient and hand_pose, where hand_pose holds the rotations of all 16 joints, the wrist's first."""
+    pose = columns.get("hand_pose")
+    if not isinstance(pose, np.ndarray) or not 2 <= pose.ndim <= 4 or pose.size not in (n * len(pose) for n in _WHOLE):
+        return {}
+    if "global_orient" in columns:
+        raise DataError(f"{path}: hand_pose has 16 rotations, the first of them the wrist's, and there is also "
+                        "global_orient; expected the wrist's rotation once; leave one of them out")
+    flat = _flat(pose)
+    width = flat.shape[1] // 16
+    return {"global_orient": flat[:, :width], "hand_pose": flat[:, width:]}
+
+
+def _flat(array: Array) -> Array:
+    """(n, width) of (n, ...). A matrix's first two columns (..., 3, 2) follow each other, as 6D numbers do."""
+    if array.ndim > 2 and array.shape[-2:] == (3, 2):
+        array = array.swapaxes(-1, -2)
+    return array.reshape(len(array), -1)
+
+
 def _checked(path: Path, name: str, array: Any, rows_of_6d: bool) -> Array:
     """(n, width) float64 of one quantity; rotations of the hand as rotation vectors."""
     if not isinstance(array, np.ndarray) or array.dtype.kind not in "biuf":
@@ -145,10 +175,11 @@ def _checked(path: Path, name: str, array: Any, rows_of_6d: bool) -> Array:
         raise DataError(f"{path}: {name} has shape {array.shape}; expected (rows, numbers), at most {MAX_ROWS} rows")
     if not len(array):
         return np.zeros((0, 1))
-    flat = array.reshape(len(array), -1)
+    flat = _flat(array)
     if flat.shape[1] not in WIDTHS[name]:
         widths = WIDTHS[name]
         wanted = " or ".join(map(str, widths)) if len(widths) < 4 else f"{widths[0]} to {widths[-1]}"
+        wanted = _SAID.get(name, wanted)
         raise DataError(f"{path}: {name} has {flat.shape[1]} numbers per row; expected {wanted}")
     flat = flat.astype(np.float64)
     bad = np.flatnonzero(~(np.abs(flat) <= 1e4).all(axis=1))
@@ -176,6 +207,10 @@ def _read_npz(path: Path, published: Published | None) -> dict[str, Any]:
             name = inside if published is None else published.names.get(inside, inside)
             if published is not None and name in ("right", "is_right", "scale"):
                 values[name] = archive.read(inside, "biuf")
+                continue
+            if published is not None and inside == published.inner:
+                found = archive.read(inside, "O").item()
+                values = {key: found[key] for key in WIDTHS if isinstance(found, dict) and key in found} | values
                 continue
             if published is not None and (name in values or name not in (*WIDTHS, "object")):
                 continue

@@ -15,7 +15,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from dgrasp.errors import DataError
 from dgrasp.files.joblib import PlainUnpickler
@@ -33,12 +32,14 @@ MAX_SEQUENCE_BYTES = 2**30
 class Published:
     """One source. answers: to the questions of `conventions.CHOICES`.
 
-    names: name in its files -> name of the quantity in `mano_table.WIDTHS`. read: reads the columns of a file of its
+    names: name in its files -> name of the quantity in `mano_table.WIDTHS`. inner: name of a dictionary of quantities
+    in a .npz. read: reads the columns of a file of its
     own form; None for .npz and .csv alone. adapt: changes columns so that they mean what a table's do.
     """
 
     answers: Mapping[str, str]
     names: Mapping[str, str] = field(default_factory=dict)
+    inner: str | None = None
     read: Callable[[Path], Columns | None] = lambda path: None
     adapt: Callable[[Columns], Columns] = lambda columns: columns
 
@@ -76,6 +77,8 @@ def _grab_sequence(path: Path) -> Columns | None:
     if path.suffix != ".npz":
         return None
     with open_npz(path, "sequence of GRAB", MAX_SEQUENCE_BYTES) as archive:
+        if "rhand.npy" not in archive.names and "lhand.npy" in archive.names:
+            raise DataError(f"{path}: no rhand; expected a sequence of GRAB with its right hand")
         if not {"rhand.npy", "object.npy"} <= set(archive.names):
             return None
         entries = {name: archive.read(name, "OU").item() for name in ("rhand", "object", "obj_name")
@@ -156,7 +159,7 @@ _ESTIMATOR = Published(
     {"pose": "axis-angle", "mean": "flat", "fingers": "mano", "transl": "mano"},
     {"pred_cam_t_full": "transl", "pred_cam_t": "transl", "cam_t_full": "transl", "cam_t": "transl",
      "pred_betas": "betas"},
-    adapt=_right_hands,
+    inner="pred_mano_params", adapt=_right_hands,
 )  # fmt: skip
 PUBLISHED: dict[str, Published] = {
     "hamer": _ESTIMATOR,
@@ -180,9 +183,11 @@ def rotation_vectors(array: Array, rows_of_6d: bool) -> Array:
     6D numbers are a matrix's first two columns, or its first two rows where `rows_of_6d`. Raises ValueError where a
     matrix is none of a rotation.
     """
+    from scipy.spatial.transform import Rotation
+
     n, width = array.shape
     if width in (9, 135):
-        R = array.reshape(-1, 3, 3)
+        R: Array = array.reshape(-1, 3, 3)
         off = np.abs(np.einsum("nij,nkj->nik", R, R) - np.eye(3)).max(axis=(1, 2), initial=0.0)
         bad = np.flatnonzero((off > 1e-3) | (np.linalg.det(R) < 0.0))
     else:

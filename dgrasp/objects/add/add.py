@@ -9,7 +9,6 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-import shutil
 import tempfile
 from contextlib import suppress
 from dataclasses import dataclass
@@ -21,7 +20,7 @@ import numpy as np
 
 from dgrasp.config.names import DENSITY, OVERLAP
 from dgrasp.errors import DataError
-from dgrasp.files.atomic import write_atomic
+from dgrasp.files.atomic import replaced_folder, write_atomic
 from dgrasp.files.paths import user_cache_root
 from dgrasp.geometry.inertia import LEAST_SHARE, moment_bounds
 from dgrasp.objects import store
@@ -34,7 +33,7 @@ from dgrasp.types import Array
 
 SURFACE_FACES = 20_000
 """Number of triangles to which a larger surface is simplified, if its shape allows (`simplified`)."""
-_VERSION = 4
+_VERSION = 7
 """Increases whenever the results for the same file and choices change."""
 _MADE = "made.json"
 _THIN = 2.0
@@ -223,24 +222,10 @@ def _check_inertia(path: Path, kg: float, inertia: Array, solid: Array, bounds: 
 def _write(folder: Path, files: dict[str, bytes], meta: dict[str, Any]) -> None:
     """Write the object's folder in one step; it replaces an existing one."""
     try:
-        folder.parent.mkdir(parents=True, exist_ok=True)
-        fresh = Path(tempfile.mkdtemp(dir=folder.parent, prefix=f".{folder.name}."))
-    except OSError as error:
-        raise DataError(f"{folder}: cannot be written ({error.strerror or error})") from None
-    old = fresh.with_name(f"{fresh.name}.old")
-    try:
-        for name, content in files.items():
-            (fresh / name).write_bytes(content)
-        text = json.dumps(meta, indent=1) + "\n"
-        (fresh / store.META_FILE).write_text(text, encoding="utf-8", newline="\n")
-        os.chmod(fresh, 0o755)
-        if os.path.lexists(folder):
-            folder.rename(old)
-        fresh.rename(folder)
-    except OSError as error:
-        raise DataError(f"{folder}: cannot be written ({error.strerror or error})") from None
-    finally:
-        shutil.rmtree(fresh, ignore_errors=True)
-        if old.is_dir() and not os.path.lexists(folder):
-            old.rename(folder)  # Stopped between the two renames: put the old folder back.
-        shutil.rmtree(old, ignore_errors=True)
+        with replaced_folder(folder) as fresh:
+            for name, content in files.items():
+                (fresh / name).write_bytes(content)
+            text = json.dumps(meta, indent=1) + "\n"
+            (fresh / store.META_FILE).write_text(text, encoding="utf-8", newline="\n")
+    except DataError as error:
+        raise DataError(f"{error}; choose another folder with --to") from None

@@ -14,8 +14,8 @@ from typing import Literal
 import numpy as np
 
 from dgrasp.errors import DataError
+from dgrasp.geometry.obj_file import read_obj
 from dgrasp.objects.add.glb_file import read_glb
-from dgrasp.objects.add.obj_file import read_obj
 from dgrasp.objects.add.ply_file import read_ply
 from dgrasp.objects.add.stl_file import read_stl
 from dgrasp.types import Array
@@ -29,8 +29,8 @@ SMALLEST, LARGEST = 0.005, 1.0
 """m. Limits of an object's longest side."""
 USUAL = (0.01, 0.5)
 """m. Usual range of the longest side of an object that a hand grasps, from which units are guessed."""
-_NORMALISED = (1.0, 2.0)
-"""Longest sides, in the file's numbers, of meshes that were normalised and have no unit."""
+_NORMALISED = (0.999, 2.001)
+"""Longest sides, in the file's numbers, of meshes that were normalised to a cube or a ball and have no unit."""
 
 Units = Literal["auto", "m", "cm", "mm"]
 SCALES: dict[str, float] = {"m": 1.0, "cm": 0.01, "mm": 0.001}
@@ -64,7 +64,7 @@ class MeshFile:
         if longest == 0.0:
             raise DataError(f"{self.path}: all vertices are at the same place; expected a mesh that encloses a volume")
         metres = self.path.suffix.lower() == ".glb"
-        if units == "auto" and scale == 1.0 and any(abs(longest / side - 1.0) <= 1e-3 for side in _NORMALISED):
+        if units == "auto" and scale == 1.0 and _NORMALISED[0] <= longest <= _NORMALISED[1]:
             raise DataError(f"{self.path}: the longest side is {longest:.4g}, as of a mesh that was normalised and has "
                             "no unit; state the unit with --units, or the size with --scale (--units m --scale S makes "
                             f"the longest side {longest:.4g} S m)")

@@ -8,8 +8,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from dgrasp.errors import DataError
-from dgrasp.objects.add.obj_file import check_commas
-from dgrasp.objects.add.polygons import triangulated
+from dgrasp.geometry.obj_file import check_commas
+from dgrasp.geometry.polygons import triangulated
 from dgrasp.types import Array
 
 _TYPES = {"char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4", "float": "f4",
@@ -207,7 +207,7 @@ def _joined(element: _Element, values: list[list[Array]]) -> dict[str, tuple[Arr
 
 def _strips(corners: Array) -> Array:
     """(F, 3) triangles of strips (C,) that a -1 ends; every second triangle is wound the other way round."""
-    faces = [np.zeros((0, 3), dtype=np.int64)]
+    faces: list[Array] = [np.zeros((0, 3), dtype=np.int64)]
     for strip in np.split(corners, np.flatnonzero(corners == -1)):
         strip = strip[strip >= 0]
         triangles = np.stack([strip[:-2], strip[1:-1], strip[2:]], axis=1)

@@ -8,7 +8,7 @@ import struct
 import numpy as np
 
 from dgrasp.errors import DataError
-from dgrasp.objects.add.obj_file import check_commas, plain_text
+from dgrasp.geometry.obj_file import check_commas, plain_text
 from dgrasp.types import Array
 
 _ROW = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
@@ -18,14 +18,14 @@ _VERTEX = re.compile(rb"^[ \t]*vertex[ \t]+(\S+)[ \t]+(\S+)[ \t]+(\S+)", re.IGNO
 def read_stl(raw: bytes) -> tuple[Array, Array]:
     """Vertices (3 F, 3) in the file's units and triangles (F, 3) of a file's bytes, three vertices a triangle.
 
-    A file is binary if its length is what its header announces, or if it does not begin with `solid`. Raises
-    `DataError` for a file that is cut off or damaged.
+    A file is binary if its length is what its header announces, if it does not begin with `solid`, or if it holds a
+    zero byte. Raises `DataError` for a file that is cut off or damaged.
     """
     text = plain_text(raw).lstrip()
     count = struct.unpack_from("<I", raw, 80)[0] if len(raw) >= 84 else -1
     if len(raw) == 84 + 50 * count:
-        corners = np.frombuffer(raw, _ROW, count, 84)["corners"].astype(float).reshape(-1, 3)
-    elif text[:5].lower() == b"solid":
+        corners: Array = np.frombuffer(raw, _ROW, count, 84)["corners"].astype(float).reshape(-1, 3)
+    elif text[:5].lower() == b"solid" and b"\0" not in text:
         corners = _text_corners(text.replace(b"\r", b"\n"))
     elif count < 0:
         raise DataError(f"{len(raw)} bytes, less than the header of a binary STL; the file is cut off")

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import copy
-import hashlib
 import io
-import zipfile
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -19,11 +17,9 @@ from dgrasp.files.atomic import TEMPORARY, write_atomic
 from dgrasp.rl.networks import ActorCritic, Policy, make_mlp, parameter_shapes
 from dgrasp.rl.run.folder import BEST, FOLDER, saved
 from dgrasp.rl.run.folder import latest as latest
+from dgrasp.rl.run.whole import damaged, read_whole, sealed
 
 SCHEMA = 2
-_MAX_BYTES = 2**30
-_SEAL = b"dgrasp sha256 "
-_SEAL_SIZE = len(_SEAL) + 64
 _TYPES: dict[str, tuple[type, ...]] = {
     "epoch": (int,), "model": (dict,), "optimizer": (dict,), "learning_rate": (float,), "architecture": (dict,),
     "config": (dict,), "data": (dict,), "code": (str,), "best_success": (float, type(None)),
@@ -75,27 +71,8 @@ def _write(path: Path, checkpoint: Checkpoint) -> Path:
     content = {field.name: getattr(checkpoint, field.name) for field in fields(Checkpoint)}
     stream = io.BytesIO()
     torch.save({"schema": SCHEMA, **content}, stream)
-    write_atomic(path, _sealed(stream.getvalue()))
+    write_atomic(path, sealed(stream.getvalue()))
     return path
-
-
-def _sealed(archive: bytes) -> bytes:
-    """The zip archive with the SHA-256 of its bytes as the archive comment, at the end of the file."""
-    # The two bytes before the comment hold its length; the digest covers them.
-    body = archive[:-2] + _SEAL_SIZE.to_bytes(2, "little")
-    return body + _SEAL + hashlib.sha256(body).hexdigest().encode()
-
-
-def _is_whole(content: bytes) -> bool:
-    """Whether the checksums of a torch file match: its seal, or the zip archive's own checksums if it has no seal.
-
-    torch itself checks neither. The seal exists because the archive's own checksums do not cover its directory.
-    """
-    if not (content[-22:].startswith(b"PK\5\6") and content.endswith(b"\0\0")):  # an archive with a comment
-        return _sealed(content[:-_SEAL_SIZE]) == content
-    with zipfile.ZipFile(io.BytesIO(content)) as archive:
-        stored = all(item.compress_type == zipfile.ZIP_STORED for item in archive.infolist())
-        return stored and archive.testzip() is None
 
 
 def prune(run_dir: Path, keep: int) -> None:
@@ -111,22 +88,11 @@ def read_torch_file(path: Path, what: str) -> Any:
     Only tensors and plain values are accepted. Anything else, and a file whose checksums do not match, raises
     `DataError`. what: names the expected content in that error.
     """
+    content = read_whole(path, what)
     try:
-        if path.stat().st_size > _MAX_BYTES:
-            raise DataError(f"{path}: over {_MAX_BYTES >> 20} MiB; expected {what}")
-        content = path.read_bytes()
-    except OSError as error:
-        raise DataError(f"{path}: cannot read {what} ({error.strerror or error})") from None
-    try:
-        if not _is_whole(content):
-            raise ValueError("a checksum does not match")
         return torch.load(io.BytesIO(content), map_location="cpu", weights_only=True)
     except Exception as error:  # hostile bytes can raise anything, and every error means the same to the user
-        reason = str(error).strip().splitlines()
-        raise DataError(
-            f"{path}: damaged or not {what} ({reason[0][:120] if reason else type(error).__name__}). "
-            "Take another file; in a run directory, delete this one to fall back on the checkpoint before it"
-        ) from None
+        raise damaged(path, what, error) from None
 
 
 def load(path: Path) -> Checkpoint:

@@ -1,4 +1,4 @@
-"""What lies in a run directory: its checkpoints by name, its description and its plan. Imports no torch."""
+"""The files of a run directory: its checkpoints by name, its description and its plan. Imports no torch."""
 
 from __future__ import annotations
 
@@ -38,19 +38,19 @@ def latest(run_dir: Path) -> Path:
 
 
 def write_description(run_dir: Path, config: Config, data_stamp: Mapping[str, Any]) -> None:
-    """A run directory's config and data stamp."""
+    """Write a run directory's config and data stamp."""
     write_atomic(run_dir / "config.yaml", dump_config(config))
     write_atomic(run_dir / "data.json", json.dumps(data_stamp, indent=2) + "\n")
 
 
 def write_plan(run_dir: Path, environments: int, epochs: int, max_steps: int | None, last_epoch: int) -> None:
-    """What a run was begun or resumed to do: `Run.epochs` cannot tell it from the config alone."""
+    """Write the length that a run was begun or resumed for; `Run.epochs` cannot find it in the config alone."""
     plan = {"environments": environments, "epochs": epochs, "max_steps": max_steps, "last_epoch": last_epoch}
     write_atomic(run_dir / PLAN_NAME, json.dumps(plan) + "\n")
 
 
 def read_plan(run_dir: Path) -> dict[str, Any]:
-    """What `write_plan` wrote; empty where there is none that can be read."""
+    """The content of `write_plan`; empty if there is none, or if it is damaged."""
     try:
         plan = json.loads((run_dir / PLAN_NAME).read_text(encoding="utf-8"))
     except (OSError, ValueError):

@@ -27,7 +27,7 @@ from dgrasp.rl.run.progress import TrainingProgress
 
 RETURN, TERMINATED, TRUNCATED = "train/return", "train/terminated", "train/truncated"
 HELD = "train/held"
-"""Share of an epoch's training episodes that reached their end still holding; where there is a hold (`env.hold`)."""
+"""Share of an epoch's training episodes that still held the object at their end; only with a hold (`env.hold`)."""
 SUCCESS, CONTACT_RATIO = "eval/success", "eval/contact_ratio"
 MPE, GEODESIC, CARRIED = "eval/mpe_m", "eval/geodesic_rad", "eval/carried"
 EVALUATED = {"grasp": (SUCCESS, CONTACT_RATIO), "motion": (MPE, GEODESIC, CARRIED), "flat": (MPE, GEODESIC, CARRIED)}
@@ -121,11 +121,11 @@ class Log:
         self._progress.advance(steps, f"epoch {epoch}/{self._epochs}")
 
     def evaluation(self) -> contextlib.AbstractContextManager[None]:
-        """An evaluation; the display's estimate of the time left does without the time that it takes."""
+        """Context of an evaluation: its time is left out of the display's estimate of the time left."""
         return self._progress.evaluation()
 
     def evaluating(self, epoch: int, done: int, total: int) -> None:
-        """Show how far the evaluation after an epoch is."""
+        """Show the progress of the evaluation after an epoch."""
         self._progress.evaluating(f"epoch {epoch}/{self._epochs}", done, total)
 
     def message(self, text: str) -> None:

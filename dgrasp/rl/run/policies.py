@@ -6,19 +6,27 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from dgrasp.hand.store import AUTHORS_HAND
 from dgrasp.rl.networks import Policy
 from dgrasp.rl.run.checkpoint import load, policy_of, read_torch_file
 from dgrasp.rl.run.folder import WEIGHTS_SUFFIX
 from dgrasp.rl.run.published import is_published, load_published_actor
 from dgrasp.rl.run.weights import read_weights
 
+_AUTHORS_DATA = {"hand": AUTHORS_HAND, "comparable_with_paper": True}
+"""What the authors' policies were trained on."""
+
 
 @dataclass(frozen=True)
 class SavedPolicy:
-    """A deterministic policy and its training config as plain values; the config is empty for the authors' policies."""
+    """A deterministic policy, its training config as plain values, and the record of the data that it was trained on.
+
+    The config is empty for the authors' policies. data: None if it is unknown.
+    """
 
     policy: Policy
     config: dict[str, Any]
+    data: dict[str, Any] | None = None
 
     @property
     def env(self) -> dict[str, Any]:
@@ -36,8 +44,9 @@ def read_policy(path: Path) -> SavedPolicy:
     """Read this project's checkpoint or published weights, or the authors' checkpoint; `DataError` for other files."""
     if path.suffix == WEIGHTS_SUFFIX:
         policy, about = read_weights(path)
-        return SavedPolicy(policy, about["config"])
+        data = about.get("data")
+        return SavedPolicy(policy, about["config"], data if isinstance(data, dict) else None)
     if is_published(read_torch_file(path, "a checkpoint")):
-        return SavedPolicy(load_published_actor(path), {})
+        return SavedPolicy(load_published_actor(path), {}, _AUTHORS_DATA)
     checkpoint = load(path)
-    return SavedPolicy(policy_of(checkpoint), checkpoint.config)
+    return SavedPolicy(policy_of(checkpoint), checkpoint.config, checkpoint.data)

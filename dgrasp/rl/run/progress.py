@@ -64,14 +64,14 @@ class TrainingProgress:
             self.message(self._status(place, now))
 
     def trained(self, returned: float, held: float | None) -> None:
-        """Remember an epoch's return and, where episodes end with a hold, the share of them that were held."""
+        """Remember an epoch's return and, if episodes end with a hold, the share of them that were held."""
         self._return = returned
         if held is not None:
             self._held.append(held)
 
     @contextmanager
     def evaluation(self) -> Iterator[None]:
-        """An evaluation, whose time says nothing about that of the control steps to come."""
+        """Context of an evaluation: its time is left out of the estimate of the time left."""
         begin = self._clock()
         try:
             yield

@@ -18,9 +18,8 @@ from dgrasp.errors import DataError
 from dgrasp.files.atomic import write_atomic
 from dgrasp.rl.networks import Policy, make_mlp
 from dgrasp.rl.run.checkpoint import Checkpoint
+from dgrasp.rl.run.whole import FORMAT, SCHEMA, damaged_weights, read_description
 
-FORMAT, SCHEMA = "dgrasp-policy", "1"
-MAX_BYTES = 64 * 2**20
 _SIZES = ("observation_size", "actor_size", "action_size")
 _SECTIONS = ("seed", "engine", "physics", "env", "ppo")
 """Sections of the config that the file includes; paths on the machine that trained the policy stay out."""
@@ -46,23 +45,12 @@ def read_weights(path: Path) -> tuple[Policy, dict[str, Any]]:
 
     Raises `DataError` for a file that is missing, damaged or too large, or that holds something else.
     """
-    try:
-        size = path.stat().st_size
-    except OSError as error:
-        raise DataError(f"{path}: cannot read a policy ({error.strerror or error})") from None
-    if size > MAX_BYTES:
-        raise DataError(f"{path}: {size} bytes; a policy has at most {MAX_BYTES}")
+    about = read_description(path)
     try:
         with safe_open(path, "pt") as file:
-            meta = file.metadata() or {}
-            if (meta.get("format"), meta.get("schema")) != (FORMAT, SCHEMA):
-                raise DataError(f"{path}: not a policy of this project (format {FORMAT!r}, schema {SCHEMA}); expected "
-                                "a file that `dgrasp publish` wrote with this version of the code")
-            about = json.loads(meta.get("about", ""))
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (it is no mapping)
-    except (SafetensorError, ValueError, RecursionError, OSError) as error:
-        reason = " ".join(str(error).split())[:120]
-        raise DataError(f"{path}: damaged or not a policy ({reason}); take another file") from None
+    except (SafetensorError, ValueError, OSError) as error:
+        raise damaged_weights(path, error) from None
     return _policy(tensors, about, path), about
 
 

@@ -14,9 +14,16 @@ from raisim_like.engines.bullet.rest import ends, may_roll
 from raisim_like.engines.bullet.shapes import SHAPE_TYPES, collision_filter, geometry, xyzw
 from raisim_like.engines.bullet.urdf import compound_urdf, normalised_urdf
 from raisim_like.errors import EngineError
+from raisim_like.mimic import Mimic
 from raisim_like.rotations import quaternion_from_matrix
 from raisim_like.shapes import Shape
 from raisim_like.urdf import UrdfModel
+
+TIED_ERP = 1e-6
+"""Error reduction of the joints in a world with joints that follow others. Bullet multiplies it by that of each gear.
+The product is 1, so a gear removes its error within one step; joints at their limits hardly notice 1e-6."""
+FIRM = 1e6
+"""N m or N. Largest force of a gear; it is never reached."""
 
 
 def make_body(client: int, shapes: Sequence[Shape], mass: float, frame: BodyFrame, collision_mask: int) -> int:
@@ -54,7 +61,7 @@ def make_body(client: int, shapes: Sequence[Shape], mass: float, frame: BodyFram
 
 
 def keep_ends_apart(client: int, moving: Iterable[int]) -> None:
-    """Let the ends of round bodies touch none of the bodies and systems that move (`rest`)."""
+    """Switch off contacts between the ends of round bodies and everything that moves (`rest`)."""
     links = {uid: p.getNumJoints(uid, physicsClientId=client) for uid in moving}
     for uid, other in permutations(links, 2):
         # A rigid body with ends has them as its one link.
@@ -78,7 +85,21 @@ def make_articulated(
     for link in range(-1, model.dof):
         _undamp(client, uid, link, jointDamping=0.0)
         p.setCollisionFilterGroupMask(uid, link, *collision_filter(collision_mask), physicsClientId=client)
+    for i, made in enumerate(model.links):
+        if made.mimic is not None:
+            _tie(client, uid, i, made.mimic)
     return uid
+
+
+def _tie(client: int, uid: int, joint: int, mimic: Mimic) -> None:
+    """Tie a joint to its leader by a gear."""
+    gear = p.createConstraint(
+        uid, joint, uid, mimic.leader, p.JOINT_GEAR, [0, 0, 0], [0, 0, 0], [0, 0, 0], physicsClientId=client
+    )
+    p.changeConstraint(
+        gear, gearRatio=-mimic.multiplier, relativePositionTarget=mimic.offset, erp=1.0 / TIED_ERP, maxForce=FIRM,
+        physicsClientId=client,
+    )  # fmt: skip
 
 
 def _undamp(client: int, uid: int, link: int, **also: Any) -> None:

@@ -43,7 +43,7 @@ class Axes:
                 k = model.links[k].parent
             common[np.ix_(ancestors, ancestors)] += added[i]
         self.common = common
-        self.branches = _branches(model)
+        self.branches, self.ties = _branches(model), model.ties
 
     def __call__(self, q: Array) -> Array:
         """(N, dof, 3) axis directions for coordinates (N, dof); zero for prismatic joints."""
@@ -59,6 +59,17 @@ class Axes:
         """(N, dof, dof): mass matrix of the inflated link inertias alone, Mb - Mr."""
         a = self(q)
         return np.matmul(a, np.swapaxes(a, -1, -2)) * self.common
+
+    def response(self, M: Array) -> Array:
+        """(N, dof, dof): accelerations per force of systems with mass matrices M (N, dof, dof).
+
+        This is the inverse of M if no joint follows another. Otherwise the free joints' coordinates y give q = P y + b,
+        and the accelerations are P (P^T M P)^-1 P^T times the forces.
+        """
+        if not len(self.ties.followers):
+            return inverse(M, self.branches)
+        P = self.ties.matrix[:, self.ties.free]
+        return np.asarray(P @ np.linalg.inv(P.T @ M @ P) @ P.T)
 
 
 _AXES: WeakKeyDictionary[UrdfModel, Axes] = WeakKeyDictionary()

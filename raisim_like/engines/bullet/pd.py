@@ -26,7 +26,7 @@ from functools import cache
 import numpy as np
 
 from raisim_like.batch import Preset
-from raisim_like.engines.bullet.mass import axes_of, inverse
+from raisim_like.engines.bullet.mass import axes_of
 from raisim_like.engines.bullet.quiet_pybullet import pybullet as p
 from raisim_like.engines.protocol import Array
 from raisim_like.urdf import UrdfModel
@@ -54,7 +54,7 @@ class ImplicitPd:
         self.h = np.zeros(n)
         self.Mb, self.X = np.zeros((n, n)), np.zeros((n, n))
         self.forces: list[float] = []
-        self.motion = np.zeros((2, n))
+        self.motion: Array = np.zeros((2, n))
         """Coordinates and velocities that Bullet last reported; a view of the batch's array during a call."""
         # Coordinates at which Mb and X = Mh^-1 were computed; infinite where they must be computed.
         self.q_matrices = np.full(n, np.inf)
@@ -136,7 +136,7 @@ class ControlBatch:
         Mh = Mb - axes.added_inertia(self.q[rows])
         diagonal = np.arange(Mh.shape[-1])
         Mh[:, diagonal, diagonal] += self.dt * self.D[rows]
-        X = inverse(Mh, axes.branches)
+        X = axes.response(Mh)
         for i, s in enumerate(stale):
             s.Mb[:], s.X[:], s.q_matrices[:] = Mb[i], X[i], s.q
 

@@ -72,7 +72,7 @@ def normalised_urdf(model: UrdfModel, enforce_limits: bool = True) -> str:
             f'<axis xyz="{" ".join(repr(float(v)) for v in link.axis)}"/>'
         )
         lower, upper = link.lower, link.upper
-        if link.kind == "prismatic" and not (enforce_limits and np.isfinite(lower)):
+        if link.kind == "prismatic" and not _limited(link, enforce_limits):
             # A prismatic joint needs a limit; this one is never reached.
             lower, upper = -FAR, FAR
         if np.isfinite(lower):
@@ -108,7 +108,12 @@ def compound_urdf(
 def _kind(link: UrdfLink, enforce_limits: bool) -> str:
     if link.kind == "prismatic":
         return link.kind
-    return "revolute" if enforce_limits and np.isfinite(link.lower) else "continuous"
+    return "revolute" if _limited(link, enforce_limits) else "continuous"
+
+
+def _limited(link: UrdfLink, enforce_limits: bool) -> bool:
+    """Whether Bullet stops the joint at its limits; a joint that follows another one stops with its leader."""
+    return enforce_limits and link.mimic is None and bool(np.isfinite(link.lower))
 
 
 def _rpy(R: NDArray[Any]) -> tuple[float, float, float]:

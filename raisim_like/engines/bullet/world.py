@@ -1,4 +1,4 @@
-"""A PyBullet world that implements the engine protocol: bodies, contacts, pictures."""
+"""A PyBullet world that implements the engine protocol: bodies, control, contacts."""
 
 from __future__ import annotations
 
@@ -11,12 +11,20 @@ import numpy as np
 from raisim_like.batch import Preset
 from raisim_like.contact import Contact
 from raisim_like.engines.body_frame import BodyFrame
-from raisim_like.engines.bullet.bodies import keep_ends_apart, make_articulated, make_body
+from raisim_like.engines.bullet.bodies import TIED_ERP, keep_ends_apart, make_articulated, make_body
 from raisim_like.engines.bullet.contacts import contacts_of, link_impulses, touching
 from raisim_like.engines.bullet.friction import factors
 from raisim_like.engines.bullet.pd import HOLD, ImplicitPd, blocks
 from raisim_like.engines.bullet.quiet_pybullet import pybullet as p
-from raisim_like.engines.bullet.rest import BREAKING_THRESHOLD, LEAST_FRICTION, ROLLING_FRICTION, may_roll
+from raisim_like.engines.bullet.rest import (
+    BREAKING_THRESHOLD,
+    DAMPING,
+    LEAST_FRICTION,
+    ROLLING_FRICTION,
+    ROLLING_FRICTION_OF_FACES,
+    STIFFNESS,
+    may_roll,
+)
 from raisim_like.engines.bullet.shapes import xyzw
 from raisim_like.engines.bullet.state import BulletSnapshot
 from raisim_like.engines.pending import Pending
@@ -42,8 +50,10 @@ CONTACT_BREAKING_THRESHOLD = 0.001
 class _Body:
     """A rigid body, which Bullet simulates in its inertial frame."""
 
-    def __init__(self, material: str, frame: BodyFrame, mass: float, rolls: bool) -> None:
-        self.material, self.frame, self.mass, self.rolls = material, frame, mass, rolls
+    def __init__(self, material: str, frame: BodyFrame, mass: float, shapes: Sequence[Shape]) -> None:
+        self.material, self.frame, self.mass = material, frame, mass
+        self.rolls = may_roll(shapes, mass, frame)
+        self.rolls_on_faces = self.rolls and any(shape.kind == "hull" for shape in shapes)
 
 
 class BulletWorld:
@@ -61,13 +71,13 @@ class BulletWorld:
         self.systems: dict[int, ImplicitPd] = {}
         self._system_material: dict[int, str] = {}
         self._friction: dict[str, float] = {}
+        self._springs = False
         self._set_solver()
         p.setPhysicsEngineParameter(
             enableConeFriction=1,
             # With error reduction, grasps that start inside the object would be pushed into a hold.
             contactERP=0.0,
             frictionERP=0.0,
-            erp=0.0,
             deterministicOverlappingPairs=1,
             # 0: each group must be in the other's mask; by default one match is enough.
             collisionFilterMode=0,
@@ -131,7 +141,7 @@ class BulletWorld:
     ) -> int:
         frame = BodyFrame(com, inertia)
         uid = make_body(self.client, shapes, mass, frame, collision_mask)
-        self.bodies[uid] = _Body(material, frame, mass, may_roll(shapes, mass, frame))
+        self.bodies[uid] = _Body(material, frame, mass, shapes)
         self._set_solver()
         self._keep_ends_apart()
         return uid
@@ -148,18 +158,24 @@ class BulletWorld:
             numSolverIterations=LIGHT_ITERATIONS if light else SOLVER_ITERATIONS,
             # A solver that stops early leaves torques that set a round body rolling.
             solverResidualThreshold=0.0 if rolls else RESIDUAL[self.preset],
+            erp=TIED_ERP if any(len(system.model.ties.followers) for system in self.systems.values()) else 0.0,
             physicsClientId=self.client,
         )
         self._threshold = BREAKING_THRESHOLD if rolls else CONTACT_BREAKING_THRESHOLD
         self._set_rolling()
 
     def _set_rolling(self) -> None:
-        """Rolling friction of static bodies. Bullet multiplies it by the coefficient of the body that rolls."""
+        """Rolling friction and spring of static bodies. Bullet multiplies the first by the other body's coefficient."""
         least = min((self._friction.get(b.material, 1.0) for b in self.bodies.values() if b.rolls), default=0.0)
-        rolling = ROLLING_FRICTION / max(least, LEAST_FRICTION) if least else 0.0
+        faces = any(body.rolls_on_faces for body in self.bodies.values())
+        rolling = ROLLING_FRICTION_OF_FACES if faces else ROLLING_FRICTION
+        rolling = rolling / max(least, LEAST_FRICTION) if least else 0.0
+        # Bullet cannot take a spring off again; one without stiffness leaves contacts as they are without one.
+        self._springs = self._springs or least > 0.0
+        spring = {"contactStiffness": STIFFNESS * (least > 0.0), "contactDamping": DAMPING} if self._springs else {}
         for uid, body in self.bodies.items():
             if body.mass == 0:
-                p.changeDynamics(uid, -1, rollingFriction=rolling, physicsClientId=self.client)
+                p.changeDynamics(uid, -1, rollingFriction=rolling, physicsClientId=self.client, **spring)
 
     def remove(self, body: int) -> None:
         p.removeBody(body, physicsClientId=self.client)
@@ -201,6 +217,7 @@ class BulletWorld:
         uid = make_articulated(self.client, model, collision_mask, self_collision, enforce_limits)
         self.systems[uid] = ImplicitPd(self.client, uid, model, self.timestep)
         self._system_material[uid] = material
+        self._set_solver()
         self._keep_ends_apart()
         return uid
 

@@ -38,8 +38,8 @@ class SlidingContacts:
         if self._rolling:
             self._keep_closed_by_rows()
             return
-        # The contacts come last, after the joint limits. Each has three rows: the normal and two tangents.
-        first, velocity = data.nl, data.efc_vel
+        # The contacts come last, after ties and joint limits. Each has three rows: the normal and two tangents.
+        first, velocity = data.ne + data.nl, data.efc_vel
         count = (len(velocity) - first) // 3
         if not count:
             return

@@ -14,6 +14,7 @@ from raisim_like.batch import Preset
 from raisim_like.engines.body_frame import BodyFrame
 from raisim_like.engines.floors import LIGHT_INERTIA, MIN_MASS
 from raisim_like.engines.mujoco.collision import chains, collision_bits
+from raisim_like.engines.mujoco.ties import add_ties, tie_solref
 from raisim_like.engines.protocol import Array
 from raisim_like.errors import EngineError
 from raisim_like.material import MaterialTable
@@ -134,6 +135,7 @@ class BuiltModel:
         m.opt.timestep = timestep
         for solref in (m.geom_solref, m.jnt_solref, m.pair_solref):
             solref[:] = _solref(timestep)
+        m.eq_solref[:] = tie_solref(timestep)
 
     def set_gains(self, slot: Slot, item: System) -> None:
         """Set a system's PD control: springs and dampers in the joints, and the armature that makes them implicit."""
@@ -210,9 +212,10 @@ class _Maker:
                 explicitinertial=True,
             )
             element.add_joint(
+                name=f"b{body} joint{i}",
                 type=mj.mjtJoint.mjJNT_SLIDE if link.kind == "prismatic" else mj.mjtJoint.mjJNT_HINGE,
                 axis=link.axis,
-                limited=item.enforce_limits and bool(np.isfinite(link.lower)),
+                limited=item.enforce_limits and link.mimic is None and bool(np.isfinite(link.lower)),
                 range=np.nan_to_num([link.lower, link.upper]),
                 solref_limit=self.solref,
                 solimp_limit=self.solimp,
@@ -220,6 +223,7 @@ class _Maker:
             for shape in link.shapes:
                 self._geom(element, body, i, shape)
             elements.append(element)
+        add_ties(self.spec, item.urdf, [f"b{body} joint{i}" for i in range(len(links))], self.solimp)
         if item.self_collision:
             # Links never collide with the links above them; MuJoCo itself excludes only the direct parent.
             for i, j in chains(item.urdf):

@@ -47,7 +47,7 @@ class MujocoWorld:
         self.solids: dict[int, Solid] = {}
         self.systems: dict[int, System] = {}
         self._next_id = 0
-        self._gravity = np.zeros(3)
+        self._gravity: Array = np.zeros(3)
         self._materials = MaterialTable()
         self._built: BuiltModel | None = None
         self._sliding: SlidingContacts

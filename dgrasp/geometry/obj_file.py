@@ -8,7 +8,7 @@ import re
 import numpy as np
 
 from dgrasp.errors import DataError
-from dgrasp.objects.add.polygons import triangulated
+from dgrasp.geometry.polygons import triangulated
 from dgrasp.types import Array
 
 _WIDE = (codecs.BOM_UTF32_LE, codecs.BOM_UTF32_BE, codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)

@@ -19,7 +19,7 @@ def triangulated(vertices: Array, corners: Array, counts: Array) -> Array:
         wrong = int(corners.max() if corners.max() >= len(vertices) else corners.min())
         raise DataError(f"a face names vertex {wrong} (counted from 0) of {len(vertices)}; export it again")
     starts = np.cumsum(counts) - counts
-    found = [np.zeros((0, 3), dtype=np.int64)]
+    found: list[Array] = [np.zeros((0, 3), dtype=np.int64)]
     for count in np.unique(counts[counts >= 3]):
         polygons = corners[starts[counts == count][:, None] + np.arange(count)]
         if count == 3:
