@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from dgrasp.geometry.distance_grid import triangle_distances
 from dgrasp.types import Array
@@ -18,8 +17,8 @@ def surface_samples(vertices: Array, faces: Array, spacing: float) -> tuple[Arra
     vertices (V, 3) m, faces (F, 3). Each face gets its share by area, at least one point. The same surface gives the
     same points.
     """
-    a, u, v = vertices[faces[:, 0]], vertices[faces[:, 1]] - vertices[faces[:, 0]], vertices[faces[:, 2]] - vertices[
-        faces[:, 0]]
+    a = vertices[faces[:, 0]]
+    u, v = vertices[faces[:, 1]] - a, vertices[faces[:, 2]] - a
     areas = np.linalg.norm(np.cross(u, v), axis=1) / 2.0
     counts = np.ceil(areas / spacing**2).astype(int).clip(1, None)
     owner = np.repeat(np.arange(len(faces)), counts)
@@ -39,6 +38,8 @@ class SampledSurface:
     """
 
     def __init__(self, vertices: Array, faces: Array, spacing: float) -> None:
+        from scipy.spatial import cKDTree
+
         self.spacing, self.triangles = spacing, vertices[faces]
         samples, self.owner = surface_samples(vertices, faces, spacing)
         self.tree = cKDTree(samples)
