@@ -130,11 +130,12 @@ def figures_row(meta: dict[str, Any]) -> list[str]:
     sides = " ".join(f"{1000 * side:.1f}" for side in high - low)
     kind = figures["kind"] if len(meta["shapes"]) == 1 else f"{len(meta['shapes'])} {figures['kind']}"
     return [meta["name"], meta["source"]["units"], sides, str(figures["faces"]), f"{1e6 * figures['volume_m3']:.1f}",
-            f"{1000 * meta['mass_kg']:.4g}", kind, f"{figures['overlap']:.2f}", "; ".join(figures["remarks"]) or "-"]
+            f"{1000 * meta['mass_kg']:.4g}", kind, f"{figures['overlap']:.2f}", f"{figures['share_close']:.3f}",
+            "; ".join(figures["remarks"]) or "-"]
 
 
 def _print(added: list[Added]) -> None:
-    table = Table("object", "unit", "sides mm", "faces", "cm3", "g", "collides as", "overlap", "remarks")
+    table = Table("object", "unit", "sides mm", "faces", "cm3", "g", "collides as", "overlap", "within 2 mm", "remarks")
     for entry in added:
         table.add_row(*figures_row(entry.meta))
     # In a file or a pipe, a wide table keeps each row on one line.

@@ -26,8 +26,8 @@ class CatalogueObject:
     id: its DexYCB id. mass_ycb, mass_official: kg, as YCB publishes it and as the authors simulate it.
     extents: (x, y, z) m of the bounding box, in the axes of the free set's object frame.
     collision: the authors' collision shape in the object frame O; a file is relative to the object's folder.
-    thin: the intersection over union of its volume and that of its convex parts is below 0.8 (docs/physics.md, "Objects
-        in physics").
+    thin: made of walls and bars so thin that it keeps its triangles where the engine takes them (docs/physics.md,
+        "Objects in physics").
     """
 
     id: int

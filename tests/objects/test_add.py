@@ -16,9 +16,10 @@ from dgrasp.errors import DataError
 from dgrasp.files.paths import data_root
 from dgrasp.objects.add import add
 from dgrasp.objects.add.add import Mass, add_object
+from dgrasp.objects.add.repair import RepairedSolid
 from dgrasp.objects.body import object_body
 from dgrasp.objects.store import META_FILE, default_store, find_object, load_object, object_id
-from raisim_like.shapes import Shape
+from dgrasp.types import Array
 from tests.objects.meshes import SIZE, VOLUME, box, save
 
 
@@ -229,11 +230,11 @@ def test_a_replacement_that_is_stopped_leaves_what_was_there(
 
 
 def test_an_object_of_parts_brings_its_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def halves(file: Path) -> tuple[Shape, ...]:
+    def halves(solid: RepairedSolid) -> list[tuple[Array, Array]]:
         sides = (box((0.03, 0.05, 0.04), (x, 0.0, 0.0)) for x in (-0.015, 0.015))
-        return tuple(Shape("hull", file=save(side, file.with_name(f"{i}.obj"))) for i, side in enumerate(sides))
+        return [(np.asarray(side.vertices), np.asarray(side.faces)) for side in sides]
 
-    monkeypatch.setattr("dgrasp.objects.add.fit.convex_parts", halves)
+    monkeypatch.setattr("dgrasp.objects.add.fit.part_hulls", halves)
     added = add_object(save(box(), tmp_path / "a.glb"), tmp_path, "a", choice="parts")
     model = load_object(added.folder, False, parts=True)
     assert added.meta["figures"]["overlap"] == pytest.approx(1.0) and len(model.shapes) == 2

@@ -1,20 +1,22 @@
-"""Which shape is chosen, and that its overlap is the volume overlap."""
+"""Which shape is chosen, by volume overlap and by the distances between the surfaces."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 
+import manifold3d
 import numpy as np
 import pytest
 import trimesh
 
+from dgrasp.errors import DataError
 from dgrasp.objects.add import fit
 from dgrasp.objects.add.fit import fit_primitive, fit_shapes, union_overlap
 from dgrasp.objects.add.repair import RepairedSolid, repair
+from dgrasp.types import Array
 from raisim_like.shapes import Shape
 from raisim_like.urdf import shape_pose
-from tests.objects.meshes import SIZE, box, save
+from tests.objects.meshes import SIZE, box
 
 
 def solid(mesh: trimesh.Trimesh) -> RepairedSolid:
@@ -32,17 +34,14 @@ TORUS = trimesh.creation.torus(0.05, 0.015, major_sections=48, minor_sections=24
 
 
 @pytest.fixture
-def hull_for_parts(monkeypatch: pytest.MonkeyPatch) -> Callable[[float], None]:
-    """Replaces the slow convex decomposition: gives the mesh's own hull, shrunk to a share of its size."""
+def hull_for_parts(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Replaces the slow cutter: gives the solid's own hull."""
 
-    def set_share(share: float) -> None:
-        def parts(file: Path) -> tuple[Shape, ...]:
-            hull = trimesh.load(file, force="mesh").convex_hull
-            return (Shape("hull", file=save(hull, file.with_name("hull.obj"), share)),)
+    def parts(made: RepairedSolid) -> list[tuple[Array, Array]]:
+        hull = trimesh.Trimesh(*made.mesh, process=False).convex_hull
+        return [(np.asarray(hull.vertices), np.asarray(hull.faces))]
 
-        monkeypatch.setattr(fit, "convex_parts", parts)
-
-    return set_share
+    monkeypatch.setattr(fit, "part_hulls", parts)
 
 
 def test_overlap_by_hand() -> None:
@@ -117,29 +116,48 @@ def test_a_thin_sheet_is_a_box(tmp_path: Path) -> None:
     assert made.overlap > 0.99 and min(made.shapes[0].size) == pytest.approx(0.0005, rel=0.01)
 
 
-def test_a_torus_is_no_primitive(tmp_path: Path, hull_for_parts: Callable[[float], None]) -> None:
-    hull_for_parts(1.0)
+@pytest.mark.usefixtures("hull_for_parts")
+def test_a_torus_is_no_primitive(tmp_path: Path) -> None:
     made = fit_shapes(solid(TORUS), tmp_path)
     # The hull fills the hole: 2 pi^2 R r^2 = 222 cm3 of about 361 cm3.
     assert made.kind == "parts" and made.overlap == pytest.approx(0.615, abs=0.04)
     assert all(made.tried[kind] < 0.7 for kind in ("box", "cylinder", "sphere", "capsule"))
+    # The flat ends of the hull are farthest from the ring in the middle: sqrt(R^2 + r^2) - r, less a speck around it.
+    assert made.gaps.largest == pytest.approx(np.hypot(0.05, 0.015) - 0.015, abs=0.003)
+    assert made.gaps.share_close < 0.7
 
 
-def test_parts_that_are_no_good_give_way_to_triangles(tmp_path: Path, hull_for_parts: Callable[[float], None]) -> None:
-    hull_for_parts(0.3)
-    made = fit_shapes(solid(TORUS), tmp_path, threshold=0.99)
-    assert made.kind == "mesh" and made.tried["parts"] < 0.2 and made.overlap > 0.9
-    (shape,) = made.shapes
-    assert shape.kind == "mesh" and shape.file is not None
-    faces = trimesh.load(shape.file, force="mesh").faces
-    assert len(TORUS.faces) == 2304 and len(faces) <= fit.COLLISION_FACES
+@pytest.mark.usefixtures("hull_for_parts")
+def test_a_primitive_that_leaves_out_a_handle_is_refused(tmp_path: Path) -> None:
+    can = manifold3d.Manifold.cylinder(0.1, 0.035, circular_segments=48)
+    lug = manifold3d.Manifold.cube((0.008, 0.01, 0.03)).translate((0.035, -0.005, 0.035))
+    plain, lugged = RepairedSolid(can, ()), RepairedSolid(can + lug, ())
+    assert fit_shapes(plain, tmp_path).kind == "cylinder"
+    made = fit_shapes(lugged, tmp_path)
+    # The lug is 0.6% of the volume, and 8 mm from the cylinder.
+    assert made.kind == "parts" and made.tried["cylinder"] > 0.97
+    assert fit_shapes(lugged, tmp_path, "cylinder").gaps.largest == pytest.approx(0.008, abs=0.001)
 
 
-def test_the_choice_can_be_made_by_hand(tmp_path: Path, hull_for_parts: Callable[[float], None]) -> None:
-    hull_for_parts(0.3)
+def test_the_choice_can_be_made_by_hand(tmp_path: Path, hull_for_parts: None) -> None:
     assert fit_shapes(solid(TORUS), tmp_path, "parts").kind == "parts"
     made = fit_shapes(solid(TORUS), tmp_path, "sphere")
     assert made.kind == "sphere" and made.overlap < 0.6 and set(made.tried) == {"sphere"}
     # By volume: r^3 = 3 / (4 pi) 2 pi^2 R r^2.
     assert made.shapes[0].size[0] ** 3 == pytest.approx(1.5 * np.pi * 0.05 * 0.015**2, rel=0.03)
     assert fit_shapes(solid(box()), tmp_path, "mesh").overlap == pytest.approx(1.0)
+
+
+def test_triangles_are_thinned_out_by_less_than_a_millimetre(tmp_path: Path) -> None:
+    fine = trimesh.creation.torus(0.05, 0.015, major_sections=96, minor_sections=48)
+    made = fit_shapes(solid(fine), tmp_path, "mesh")
+    (shape,) = made.shapes
+    assert shape.kind == "mesh" and shape.file is not None
+    assert len(trimesh.load(shape.file, force="mesh").faces) <= fit.COLLISION_FACES < len(fine.faces)
+    assert made.gaps.largest < 0.0011 and made.overlap > 0.95 and made.gaps.remarks() == []
+
+
+def test_no_parts_at_all_is_an_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(fit, "part_hulls", lambda solid: [])
+    with pytest.raises(DataError, match="no convex parts can be made because the solid is too thin"):
+        fit_shapes(solid(box()), tmp_path, "parts")

@@ -1,4 +1,4 @@
-"""Convex parts: what is cut, what is kept in the cache, and what happens if the cache or the mesh is unusable."""
+"""Convex parts: what is kept in the cache, and what happens if the cache or the mesh is unusable."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ import json
 import sys
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from importlib.metadata import PackageNotFoundError
 from pathlib import Path
 from threading import Barrier
 
@@ -20,12 +19,14 @@ from dgrasp.files.paths import user_cache_root
 from dgrasp.geometry.inertia import load_mesh, mesh_properties
 from dgrasp.geometry.inside import inside_shape, union_volume
 from dgrasp.objects.add import parts
-from dgrasp.objects.add.parts import PartSettings, convex_parts, reduced_hull
+from dgrasp.objects.add.parts import convex_parts, reduced_hull
+from dgrasp.objects.add.repair import RepairedSolid
 from dgrasp.objects.release import release_object
 from dgrasp.types import Array
 
 EDGE = 0.04
 L_VOLUME = 3 * EDGE**3
+Hulls = list[tuple[Array, Array]]
 CUBE = np.array([[x, y, z] for x in (0.0, 1.0) for y in (0.0, 1.0) for z in (0.0, 1.0)])
 
 
@@ -51,16 +52,21 @@ def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path / "cache"
 
 
+def hulls_of(*corners: Array) -> Hulls:
+    made = [reduced_hull(points, 64, 1e-6) for points in corners]
+    return [hull for hull in made if hull is not None]
+
+
 @pytest.fixture
-def cuts(monkeypatch: pytest.MonkeyPatch) -> list[PartSettings]:
-    """In place of the library: the L's two bars. Returns the settings of each decomposition."""
-    calls: list[PartSettings] = []
+def cuts(monkeypatch: pytest.MonkeyPatch) -> list[RepairedSolid]:
+    """In place of the cutter: the L's two bars. Returns the solid of each decomposition."""
+    calls: list[RepairedSolid] = []
 
-    def run(vertices: Array, faces: Array, settings: PartSettings) -> list[Array]:
-        calls.append(settings)
-        return [CUBE * (2 * EDGE, EDGE, EDGE), CUBE * EDGE + (0.0, EDGE, 0.0)]
+    def run(solid: RepairedSolid) -> Hulls:
+        calls.append(solid)
+        return hulls_of(CUBE * (2 * EDGE, EDGE, EDGE), CUBE * EDGE + (0.0, EDGE, 0.0))
 
-    monkeypatch.setattr(parts, "_run_coacd", run)
+    monkeypatch.setattr(parts, "part_hulls", run)
     return calls
 
 
@@ -85,10 +91,10 @@ def test_an_l_shape_is_cut_into_its_two_bars(mesh: Path, capsys: pytest.CaptureF
     assert said.out == ""
     first, second = said.err.splitlines()
     assert first.startswith("bracket: cutting mesh.obj into convex parts, once")
-    assert second.startswith("bracket: 2 parts in ") and second.endswith("against the mesh")
+    assert second.startswith("bracket: 2 parts in ") and second.endswith(", 100.0% of the surface within 2 mm")
 
 
-def test_the_library_gives_the_same_parts_again(mesh: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_mesh_gives_the_same_parts_again(mesh: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     once = [shape.file for shape in convex_parts(mesh)]
     monkeypatch.setenv("DGRASP_CACHE", str(tmp_path / "other"))
     again = [shape.file for shape in convex_parts(mesh)]
@@ -97,31 +103,31 @@ def test_the_library_gives_the_same_parts_again(mesh: Path, tmp_path: Path, monk
 
 
 def test_the_second_call_takes_the_first_ones_parts(
-    mesh: Path, cuts: list[PartSettings], capsys: pytest.CaptureFixture[str]
+    mesh: Path, cuts: list[RepairedSolid], capsys: pytest.CaptureFixture[str]
 ) -> None:
     first = convex_parts(mesh)
     assert capsys.readouterr().err != ""
-    assert convex_parts(mesh) == first == convex_parts(mesh, PartSettings())
+    assert convex_parts(mesh) == first
     assert len(cuts) == 1 and capsys.readouterr().err == ""
 
 
 def test_what_names_an_entry(
-    mesh: Path, tmp_path: Path, cuts: list[PartSettings], monkeypatch: pytest.MonkeyPatch
+    mesh: Path, tmp_path: Path, cuts: list[RepairedSolid], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def folder(path: Path, settings: PartSettings | None = None) -> Path:
-        file = convex_parts(path, settings)[0].file
+    def folder(path: Path) -> Path:
+        file = convex_parts(path)[0].file
         assert file is not None
         return file.parent
 
     first = folder(mesh)
     assert folder(write_l_shape(tmp_path / "elsewhere" / "bracket" / "m.obj")) == first
     assert len(cuts) == 1
-    others = [folder(mesh, PartSettings(threshold=0.1)), folder(mesh, PartSettings(max_parts=8))]
-    others += [folder(mesh, PartSettings(max_vertices=16)), folder(write_l_shape(mesh, 1.001 * EDGE))]
+    others = [folder(write_l_shape(mesh, 1.001 * EDGE))]
+    monkeypatch.setattr(parts, "_FORMAT", 0)
+    others += [folder(mesh)]
     monkeypatch.setattr(parts, "version", lambda name: "0")
     others += [folder(mesh)]
-    assert len({first, *others}) == 6 and len(cuts) == 6
-    assert cuts[1:4] == [PartSettings(0.1), PartSettings(max_parts=8), PartSettings(max_vertices=16)]
+    assert len({first, *others}) == 4 and len(cuts) == 4
 
 
 def entry(cache: Path) -> Path:
@@ -148,7 +154,7 @@ DAMAGES: dict[str, Callable[[Path], object]] = {
 
 
 @pytest.mark.parametrize("damage", DAMAGES)
-def test_a_damaged_entry_is_made_anew(damage: str, mesh: Path, cache: Path, cuts: list[PartSettings]) -> None:
+def test_a_damaged_entry_is_made_anew(damage: str, mesh: Path, cache: Path, cuts: list[RepairedSolid]) -> None:
     first = convex_parts(mesh)
     texts = [shape.file.read_text() for shape in first if shape.file]
     DAMAGES[damage](cache)
@@ -162,12 +168,12 @@ def test_those_who_make_the_same_entry_at_once_get_whole_ones(
 ) -> None:
     together = Barrier(4)
 
-    def run(vertices: Array, faces: Array, settings: PartSettings) -> list[Array]:
+    def run(solid: RepairedSolid) -> Hulls:
         # Each finds different parts, as if each had another version of the library.
         size = 1.0 + 0.1 * together.wait(timeout=20)
-        return [CUBE * size, CUBE * size + 2.0]
+        return hulls_of(CUBE * size, CUBE * size + 2.0)
 
-    monkeypatch.setattr(parts, "_run_coacd", run)
+    monkeypatch.setattr(parts, "part_hulls", run)
     with ThreadPoolExecutor(4) as pool:
         made = list(pool.map(convex_parts, [mesh] * 4))
     sizes = []
@@ -181,7 +187,7 @@ def test_those_who_make_the_same_entry_at_once_get_whole_ones(
 
 
 def test_a_cache_that_cannot_be_written_is_said_and_done_without(
-    mesh: Path, cache: Path, cuts: list[PartSettings], capsys: pytest.CaptureFixture[str]
+    mesh: Path, cache: Path, cuts: list[RepairedSolid], capsys: pytest.CaptureFixture[str]
 ) -> None:
     cache.write_text("a file where the folder should be")
     shapes = convex_parts(mesh)
@@ -192,7 +198,7 @@ def test_a_cache_that_cannot_be_written_is_said_and_done_without(
     assert cache.read_text() == "a file where the folder should be"
 
 
-def test_bad_meshes_are_named(tmp_path: Path, cuts: list[PartSettings]) -> None:
+def test_bad_meshes_are_named(tmp_path: Path, cuts: list[RepairedSolid]) -> None:
     absent = tmp_path / "absent.obj"
     with pytest.raises(DataError, match=r"absent\.obj: this mesh does not exist"):
         convex_parts(absent)
@@ -204,31 +210,21 @@ def test_bad_meshes_are_named(tmp_path: Path, cuts: list[PartSettings]) -> None:
         convex_parts(empty)
     flat = tmp_path / "flat.obj"
     flat.write_text("v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nf 1 2 3\nf 1 3 4\n")
-    with pytest.raises(DataError, match=r"flat\.obj: the mesh is flat"):
+    with pytest.raises(DataError, match=r"flat\.obj: fewer than four faces that have an area"):
         convex_parts(flat)
     assert cuts == []
 
 
 def test_no_parts_at_all_is_an_error(mesh: Path, cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    flat = CUBE * (1.0, 1.0, 0.0)
-    monkeypatch.setattr(parts, "_run_coacd", lambda *_: [flat])
+    monkeypatch.setattr(parts, "part_hulls", lambda solid: [])
     with pytest.raises(DataError, match=r"mesh\.obj: no convex parts were found"):
         convex_parts(mesh)
     assert not cache.exists()
 
 
-def test_without_the_library_the_error_says_what_to_do(mesh: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def absent(name: str) -> str:
-        raise PackageNotFoundError(name)
-
-    monkeypatch.setattr(parts, "version", absent)
-    with pytest.raises(DataError, match=r"pip install coacd.*physics\.concave=mesh"):
-        convex_parts(mesh)
-
-
 def test_a_hull_keeps_its_corners_alone() -> None:
     lattice = np.array([[x, y, z] for x in (0.0, 0.5, 1.0) for y in (0.0, 0.5, 1.0) for z in (0.0, 0.5, 1.0)])
-    hull = reduced_hull(lattice, 64)
+    hull = reduced_hull(lattice, 64, 5e-4)
     assert hull is not None
     vertices, faces = hull
     assert sorted(map(tuple, vertices)) == sorted(map(tuple, CUBE)) and len(faces) == 12
@@ -239,7 +235,7 @@ def test_a_hull_keeps_its_corners_alone() -> None:
 def test_few_vertices_are_spread_well(limit: int, best: float) -> None:
     directions = np.random.default_rng(0).normal(size=(500, 3))
     ball = directions / np.linalg.norm(directions, axis=1, keepdims=True)
-    hull = reduced_hull(ball, limit)
+    hull = reduced_hull(ball, limit, 5e-4)
     assert hull is not None
     mesh = trimesh.Trimesh(*hull, process=False)
     assert len(hull[0]) == limit and mesh.is_volume
@@ -248,13 +244,13 @@ def test_few_vertices_are_spread_well(limit: int, best: float) -> None:
 
 
 def test_slivers_are_no_hulls() -> None:
-    assert reduced_hull(CUBE * (1.0, 1.0, 0.0), 64) is None
-    assert reduced_hull(CUBE[:3], 64) is None
-    assert reduced_hull(np.zeros((8, 3)), 64) is None
+    assert reduced_hull(CUBE * (1.0, 1.0, 0.0), 64, 5e-4) is None
+    assert reduced_hull(CUBE[:3], 64, 5e-4) is None
+    assert reduced_hull(np.zeros((8, 3)), 64, 5e-4) is None
 
 
 @pytest.mark.parametrize("compat", [True, False])
-def test_mass_and_inertia_are_the_meshs(tmp_path: Path, cuts: list[PartSettings], compat: bool) -> None:
+def test_mass_and_inertia_are_the_meshs(tmp_path: Path, cuts: list[RepairedSolid], compat: bool) -> None:
     write_l_shape(tmp_path / "025_mug" / "textured_meshlab_quart.obj")
     whole = release_object(tmp_path, "025_mug", "ycb", compat, "mesh")
     cut = release_object(tmp_path, "025_mug", "ycb", compat, "parts")
@@ -264,14 +260,14 @@ def test_mass_and_inertia_are_the_meshs(tmp_path: Path, cuts: list[PartSettings]
     assert np.array_equal(cut.inertia, np.eye(3)) == compat
 
 
-def test_thin_objects_keep_their_triangles_where_there_is_a_choice(tmp_path: Path, cuts: list[PartSettings]) -> None:
+def test_thin_objects_keep_their_triangles_where_there_is_a_choice(tmp_path: Path, cuts: list[RepairedSolid]) -> None:
     for name, kinds in (("035_power_drill", ["hull"] * 2), ("024_bowl", ["mesh"])):
         write_l_shape(tmp_path / name / "textured_meshlab_quart.obj")
         assert [shape.kind for shape in release_object(tmp_path, name, "ycb", True).shapes] == kinds
     assert [shape.kind for shape in release_object(tmp_path, "024_bowl", "ycb", True, "parts").shapes] == ["hull"] * 2
 
 
-def test_other_kinds_of_shape_are_left_alone(tmp_path: Path, cuts: list[PartSettings]) -> None:
+def test_other_kinds_of_shape_are_left_alone(tmp_path: Path, cuts: list[RepairedSolid]) -> None:
     write_l_shape(tmp_path / "036_wood_block" / "mesh_aligned.obj")
     (block,) = release_object(tmp_path, "036_wood_block", "ycb", True, "parts").shapes
     (box,) = release_object(tmp_path, "004_sugar_box", "ycb", True, "parts").shapes
@@ -303,7 +299,7 @@ def test_where_the_cache_is(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, cac
     assert user_cache_root() == tmp_path / "xdg" / "dgrasp"
 
 
-def test_the_manifest_is_json(mesh: Path, cache: Path, cuts: list[PartSettings]) -> None:
+def test_the_manifest_is_json(mesh: Path, cache: Path, cuts: list[RepairedSolid]) -> None:
     convex_parts(mesh)
     names = json.loads((entry(cache) / "parts.json").read_text())["parts"]
     assert [f"{name}.obj" for name in names] == sorted(p.name for p in entry(cache).glob("*.obj"))

@@ -33,12 +33,12 @@ from dgrasp.types import Array
 
 SURFACE_FACES = 20_000
 """Number of triangles to which a larger surface is simplified, if its shape allows (`simplified`)."""
-_VERSION = 6
+_VERSION = 7
 """Increases whenever the results for the same file and choices change."""
 _MADE = "made.json"
 _THIN = 2.0
 """mm. A box thinner than this gets a remark, because a body that is pressed hard goes through it."""
-_SHOWN = ("remarks", "faces", "bounds_m", "volume_m3", "kind", "overlap", "tried")
+_SHOWN = ("remarks", "faces", "bounds_m", "volume_m3", "kind", "overlap", "share_close", "farthest_m", "tried")
 
 
 @dataclass(frozen=True)
@@ -92,7 +92,7 @@ def add_object(
 
 
 def _key(mesh: MeshFile, unit: str, choice: str, threshold: float, scale: float) -> str:
-    by = {"version": _VERSION, "libraries": [version(name) for name in ("trimesh", "manifold3d", "coacd")],
+    by = {"version": _VERSION, "libraries": [version(name) for name in ("trimesh", "manifold3d", "scipy")],
           "file": mesh.sha256, "format": mesh.path.suffix.lower(), "units": unit, "scale": scale, "shape": choice,
           "overlap": threshold}
     return hashlib.sha256(json.dumps(by, sort_keys=True).encode()).hexdigest()[:24]
@@ -145,11 +145,10 @@ def _make(mesh: MeshFile, vertices: Array, unit: str, choice: Choice, threshold:
     if volume < 1e-9:
         raise DataError(f"the volume is {volume * 1e9:.2g} mm3; expected at least 1 mm3; check the units")
     with tempfile.TemporaryDirectory(prefix="dgrasp-") as temporary:
-        # The convex decomposition names the mesh after its folder.
         folder = Path(temporary) / mesh.path.stem
         write_atomic(folder / store.MESH_FILE, obj_text(points, faces))
         fit = fit_shapes(solid, folder, choice, threshold)
-        title = f"{fit.kind}: {len(fit.shapes)}, overlap {fit.overlap:.2f}"
+        title = f"{fit.kind}: {len(fit.shapes)}, {fit.gaps.share_close:.0%} within 2 mm"
         files = {store.MESH_FILE: (folder / store.MESH_FILE).read_bytes(),
                  store.PICTURE_FILE: picture(folder / store.MESH_FILE, fit.shapes, bounds, (mesh.path.stem, title))}
         shapes = []
@@ -165,11 +164,12 @@ def _make(mesh: MeshFile, vertices: Array, unit: str, choice: Choice, threshold:
     side = 1000 * min(fit.shapes[0].size, default=np.inf)
     thin = [f"only {side:.2g} mm thick"] if fit.kind == "box" and side < _THIN else []
     return {
-        "units": unit, "remarks": [*mesh.notes, *solid.notes, *thin], "faces": len(faces), "bounds_m": [low, high],
-        "volume_m3": volume,
+        "units": unit, "remarks": [*mesh.notes, *solid.notes, *thin, *fit.gaps.remarks()], "faces": len(faces),
+        "bounds_m": [low, high], "volume_m3": volume,
         "center_m": np.asarray(whole.center_mass).tolist(),
         "inertia_per_density": np.asarray((whole.moment_inertia + whole.moment_inertia.T) / 2).tolist(),
-        "kind": fit.kind, "overlap": fit.overlap, "tried": fit.tried, "shapes": shapes,
+        "kind": fit.kind, "overlap": fit.overlap, "share_close": fit.gaps.share_close, "farthest_m": fit.gaps.largest,
+        "tried": fit.tried, "shapes": shapes,
     }, files  # fmt: skip
 
 

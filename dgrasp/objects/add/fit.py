@@ -1,6 +1,7 @@
-"""Choose a solid's collision shapes: a box, cylinder, sphere or capsule if one fits, else parts, else a mesh.
+"""Choose a solid's collision shapes: a box, cylinder, sphere or capsule if one fits, else convex parts.
 
-The measure of fit is the volume overlap with the solid, |A and B| / |A or B| (intersection over union), by booleans.
+The volume overlap |A and B| / |A or B| (intersection over union), by booleans, chooses among the primitives. The
+distances between the surfaces refuse one that leaves out a handle or fills a hollow.
 """
 
 from __future__ import annotations
@@ -22,7 +23,8 @@ from dgrasp.geometry.inside import inner_points
 from dgrasp.geometry.intersection import body
 from dgrasp.geometry.part_mesh import PartMesh
 from dgrasp.geometry.shape_mesh import shape_mesh
-from dgrasp.objects.add.parts import convex_parts, obj_text
+from dgrasp.objects.add.judge import Gaps, judge
+from dgrasp.objects.add.parts import obj_text, part_hulls
 from dgrasp.objects.add.repair import RepairedSolid
 from dgrasp.types import Array
 from raisim_like.rotations import quaternion_from_matrix, transform
@@ -30,11 +32,11 @@ from raisim_like.shapes import Kind, Shape
 from raisim_like.urdf import shape_pose
 
 Choice = Literal["auto", "box", "cylinder", "sphere", "capsule", "parts", "mesh"]
-PARTS_OVERLAP = 0.55
-"""Smallest overlap at which convex parts are taken. Thin shells and bars are below it; then their mesh collides."""
 COLLISION_FILE = "collision.obj"
-COLLISION_FACES = 500
-"""Triangles of the mesh that collides or is cut into parts; more if a mesh of so few is not a solid."""
+FARTHEST = 0.007
+"""Largest distance between the surfaces of a solid and of a primitive that is taken, m."""
+COLLISION_FACES = 2000
+"""Triangles of the mesh that collides; more if its surface would move too far (`simplified`)."""
 _FIT_FACES, _FIT_POINTS = 3000, 6000
 _EXACT = 0.998
 """Overlap above which no better shape is sought."""
@@ -47,68 +49,62 @@ class FittedShapes:
     """The shapes that stand for a solid, in its frame.
 
     kind: the kind that was chosen. overlap: that of the shapes' union with the solid. tried: the overlap of every kind
-    that was tried.
+    that was tried. gaps: the distances between the surfaces.
     """
 
     kind: str
     shapes: tuple[Shape, ...]
     overlap: float
     tried: dict[str, float]
+    gaps: Gaps
 
 
 def fit_shapes(solid: RepairedSolid, folder: Path, choice: Choice = "auto", threshold: float = OVERLAP) -> FittedShapes:
-    """The shapes for a solid. Files that they need are written to `folder` or are in the user's cache.
+    """The shapes for a solid. Files that they need are written to `folder`.
 
-    choice: "auto" takes the primitive with the largest overlap if it reaches `threshold`, else convex parts if they
-    reach `PARTS_OVERLAP`, else the decimated mesh; any other choice takes that kind. Raises `DataError` if that kind
-    cannot be fitted.
+    choice: "auto" takes the primitive with the largest overlap if it reaches `threshold` and its surface is nowhere
+    farther than `FARTHEST` from the solid's, else convex parts; any other choice takes that kind. Raises `DataError` if
+    that kind cannot be fitted.
     """
     tried: dict[str, float] = {}
     kinds = PRIMITIVES if choice == "auto" else (choice,) if choice in PRIMITIVES else ()
     fits = {kind: made for kind in kinds if (made := fit_primitive(solid, kind)) is not None}
     tried |= {kind: overlap for kind, (_, overlap) in fits.items()}
-    if fits:
-        best = max(fits, key=lambda kind: tried[kind])
-        if choice != "auto" or tried[best] >= threshold:
-            return FittedShapes(best, (fits[best][0],), tried[best], tried)
-    elif kinds and choice != "auto":
+    best = max(fits, key=lambda kind: tried[kind], default="")
+    if best and (choice != "auto" or tried[best] >= threshold):
+        gaps = judge(solid, (fits[best][0],))
+        if choice != "auto" or gaps.largest <= FARTHEST:
+            return FittedShapes(best, (fits[best][0],), tried[best], tried, gaps)
+    if choice in PRIMITIVES:
         raise DataError(f"no {choice} can be fitted because the solid is too thin; choose another --shape")
-    file = folder / COLLISION_FILE
-    write_atomic(file, obj_text(*_decimated(solid).mesh))
-    if choice != "mesh":
-        shapes = convex_parts(file)
-        tried["parts"] = union_overlap(solid, shapes)
-        if choice == "parts" or tried["parts"] >= PARTS_OVERLAP:
-            return FittedShapes("parts", shapes, tried["parts"], tried)
-    shapes = (Shape("mesh", file=file),)
-    tried["mesh"] = union_overlap(solid, shapes)
-    return FittedShapes("mesh", shapes, tried["mesh"], tried)
+    kind, shapes = ("mesh", (_mesh(solid, folder),)) if choice == "mesh" else ("parts", _parts(solid, folder))
+    tried[kind] = union_overlap(solid, shapes)
+    return FittedShapes(kind, shapes, tried[kind], tried, judge(solid, shapes))
+
+
+def _parts(solid: RepairedSolid, folder: Path) -> tuple[Shape, ...]:
+    shapes = []
+    for index, hull in enumerate(part_hulls(solid)):
+        shapes.append(Shape("hull", file=folder / f"{index:02d}.obj"))
+        write_atomic(folder / f"{index:02d}.obj", obj_text(*hull))
+    if not shapes:
+        raise DataError("no convex parts can be made because the solid is too thin; choose another --shape")
+    return tuple(shapes)
+
+
+def _mesh(solid: RepairedSolid, folder: Path) -> Shape:
+    write_atomic(folder / COLLISION_FILE, obj_text(*simplified(solid, COLLISION_FACES).mesh))
+    return Shape("mesh", file=folder / COLLISION_FILE)
 
 
 def simplified(solid: RepairedSolid, faces: int) -> RepairedSolid:
-    """The solid with about `faces` triangles, or more if its surface would move by over a hundredth of its size."""
+    """The solid with about `faces` triangles, or more if its surface would move by over 1 mm or 1% of its size."""
     size = float(np.ptp(solid.mesh[0], axis=0).max())
     made, tolerance = solid.solid, 1e-5 * size
-    while made.num_tri() > faces and tolerance <= 0.01 * size:
+    while made.num_tri() > faces and tolerance <= min(0.001, 0.01 * size):
         made = solid.solid.simplify(tolerance)
         tolerance *= 2.0
     return RepairedSolid(made, solid.notes)
-
-
-def _decimated(solid: RepairedSolid) -> RepairedSolid:
-    """The solid decimated (quadric) to `COLLISION_FACES` triangles, doubled until the result is a solid."""
-    import fast_simplification
-
-    vertices, faces = solid.mesh
-    count = COLLISION_FACES
-    while count < len(faces):
-        fewer = fast_simplification.simplify(vertices, faces, target_count=count)
-        with contextlib.suppress(DataError):
-            made = body([(fewer[0], fewer[1])])
-            if made.solid is not None and made.holes == 0:
-                return RepairedSolid(made.solid, solid.notes)
-        count *= 2
-    return solid
 
 
 def union_overlap(solid: RepairedSolid, shapes: Sequence[Shape]) -> float:

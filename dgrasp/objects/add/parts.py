@@ -1,7 +1,7 @@
-"""Convex parts in place of a concave mesh: cut once by approximate convex decomposition, then kept in a cache.
+"""Convex parts in place of a concave mesh: cut once (`dgrasp.objects.add.cut`), then kept in a cache.
 
-Engines collide convex bodies several times faster than triangles, and some support nothing else. The settings determine
-how close the parts are to the mesh; docs/physics.md gives the difference and its effect on grasps.
+Engines collide convex bodies several times faster than triangles, and some support nothing else. docs/objects.md gives
+the distance between parts and meshes, docs/physics.md its effect on grasps.
 """
 
 from __future__ import annotations
@@ -13,66 +13,66 @@ import shutil
 import sys
 import tempfile
 import time
-from dataclasses import asdict, dataclass
 from functools import cache
-from importlib.metadata import PackageNotFoundError, version
+from importlib.metadata import version
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from dgrasp.errors import DataError
 from dgrasp.files.atomic import write_atomic
 from dgrasp.files.paths import user_cache_root
-from dgrasp.geometry.inertia import load_mesh, mesh_properties
-from dgrasp.geometry.inside import union_volume
+from dgrasp.geometry.inertia import load_mesh
 from dgrasp.types import Array
 from raisim_like.shapes import Shape
 
-_FORMAT = 1
-"""Increases whenever the files for the same mesh and settings change."""
+if TYPE_CHECKING:
+    from dgrasp.objects.add.repair import RepairedSolid
+
+TOLERANCE, LEAST_SHARE = 0.0015, 0.02
+"""How far a part may reach beyond the surface, m; less for objects of which it is more than this share of the size."""
+MOST_PARTS, MOST_VERTICES = 96, 64
+"""Most parts of an object, and most vertices of each."""
+_SLACK = 0.1
+"""Share of the tolerance by which a surface may move when its triangles and the parts' vertices are thinned out."""
+_FORMAT = 2
+"""Increases whenever the files for the same mesh change."""
 _MANIFEST = "parts.json"
-_SEARCH = {"mcts_iterations": 30, "mcts_nodes": 8, "mcts_max_depth": 2, "seed": 0}
-"""Effort of the search for cuts: a tenth of the library's default, for parts as close to the mesh."""
-_TOLERANCE = 5e-4
-"""Share of a part's longest side. A vertex that is left out protrudes by less than this from the hull of the others."""
 
 
-@dataclass(frozen=True)
-class PartSettings:
-    """How finely a mesh is cut.
-
-    threshold: largest concavity of a part, in units of half the mesh's longest side. max_parts, max_vertices: most
-    parts, and most vertices of each.
-    """
-
-    threshold: float = 0.05
-    max_parts: int = 24
-    max_vertices: int = 64
-
-
-def convex_parts(mesh_file: Path, settings: PartSettings | None = None) -> tuple[Shape, ...]:
+def convex_parts(mesh_file: Path) -> tuple[Shape, ...]:
     """Hulls that together fill the mesh, in its frame; their files exist at least until the process ends.
 
-    The first call for a mesh takes seconds to minutes and says so on standard error. The parts are kept in the
-    user's cache folder under a hash of the mesh and the settings. A damaged entry is made again. If the folder cannot
-    be written, the parts are kept in a temporary one until the process ends. The same mesh gives the same parts.
-    Raises `DataError` for a mesh that is missing, damaged or flat.
+    The first call for a mesh takes up to a minute and says so on standard error. The parts are kept in the user's
+    cache folder under a hash of the mesh. A damaged entry is made again. If the folder cannot be written, the parts are
+    kept in a temporary one until the process ends. The same mesh gives the same parts. Raises `DataError` for a mesh
+    that is missing or damaged, or encloses no volume.
     """
     mesh_file = Path(mesh_file)
-    settings = settings or PartSettings()
     # Read the mesh first, so that a problem with it is reported even if its parts are in the cache.
-    key = _key(_mesh_bytes(mesh_file), settings)
-    name = f"parts/{mesh_file.absolute().parent.name}-{key}"
+    name = f"parts/{mesh_file.absolute().parent.name}-{_key(_mesh_bytes(mesh_file))}"
     for root in _roots():
         files = _load(root / name)
         if files:
             return _shapes(files)
-    texts = _decompose(mesh_file, settings)
+    texts = _decompose(mesh_file)
     try:
         return _shapes(_store(user_cache_root() / name, texts))
     except DataError as error:
         _say(f"{error}; the parts stay in a temporary folder for this run (set DGRASP_CACHE to a folder to keep them)")
         return _shapes(_store(_temporary_root() / name, texts))
+
+
+def part_hulls(solid: RepairedSolid) -> list[tuple[Array, Array]]:
+    """Vertices (V, 3) m and outward faces (F, 3) of the convex parts of a solid; none if it is too thin for any."""
+    from dgrasp.objects.add.cut import cut  # Imported late: it takes a second, and parts are mostly in the cache.
+
+    tolerance = min(TOLERANCE, LEAST_SHARE * float(np.ptp(solid.mesh[0], axis=0).max()))
+    slack = _SLACK * tolerance
+    pieces = cut(solid.solid.simplify(slack), tolerance, MOST_PARTS)
+    hulls = [reduced_hull(points, MOST_VERTICES, slack) for points in pieces]
+    return [hull for hull in hulls if hull is not None]
 
 
 def _shapes(files: list[Path]) -> tuple[Shape, ...]:
@@ -92,21 +92,10 @@ def _mesh_bytes(mesh_file: Path) -> bytes:
         raise DataError(f"{mesh_file}: cannot be read ({error.strerror or error})") from None
 
 
-def _library_version() -> str:
-    try:
-        return version("coacd")
-    except PackageNotFoundError:
-        raise DataError(
-            "convex parts of a mesh need the package coacd, which is not installed: pip install coacd, or keep the "
-            "triangles with physics.concave=mesh (pybullet only)"
-        ) from None
-
-
-def _key(mesh: bytes, settings: PartSettings) -> str:
-    """A hash of what determines the parts: the mesh, the settings, the library and how it searches."""
-    made_by = {"format": _FORMAT, "coacd": _library_version(), "search": _SEARCH, "tolerance": _TOLERANCE}
-    text = json.dumps({**made_by, **asdict(settings)}, sort_keys=True)
-    return hashlib.sha256(hashlib.sha256(mesh).digest() + text.encode()).hexdigest()[:16]
+def _key(mesh: bytes) -> str:
+    """A hash of what determines the parts: the mesh, the format and the libraries."""
+    made_by = {"format": _FORMAT, "libraries": [version(name) for name in ("manifold3d", "scipy")]}
+    return hashlib.sha256(hashlib.sha256(mesh).digest() + json.dumps(made_by).encode()).hexdigest()[:16]
 
 
 # The cache: one file per part, named by its content, and a manifest that is written last. Processes that make the same
@@ -153,52 +142,44 @@ def _store(folder: Path, texts: list[str]) -> list[Path]:
 # The decomposition.
 
 
-def _decompose(mesh_file: Path, settings: PartSettings) -> list[str]:
+def _decompose(mesh_file: Path) -> list[str]:
     """The parts of a mesh, each as the text of an OBJ file."""
+    from dgrasp.objects.add.judge import CLOSE, judge
+    from dgrasp.objects.add.repair import repair
+
     mesh = load_mesh(mesh_file)
-    volume = mesh_properties(mesh_file).volume
+    try:
+        solid = repair(np.asarray(mesh.vertices, dtype=float), np.asarray(mesh.faces))
+    except DataError as error:
+        raise DataError(f"{mesh_file}: {error}") from None
     label = mesh_file.absolute().parent.name
-    _say(f"{label}: cutting {mesh_file.name} into convex parts, once; seconds to minutes")
+    _say(f"{label}: cutting {mesh_file.name} into convex parts, once; up to a minute")
     started = time.monotonic()
-    vertices, faces = np.asarray(mesh.vertices, dtype=float), np.asarray(mesh.faces)
-    hulls = [reduced_hull(points, settings.max_vertices) for points in _run_coacd(vertices, faces, settings)]
-    texts = [obj_text(*hull) for hull in hulls if hull is not None]
+    texts = [obj_text(*hull) for hull in part_hulls(solid)]
     if not texts:
         raise DataError(f"{mesh_file}: no convex parts were found; expected a mesh that encloses a volume")
     with tempfile.TemporaryDirectory() as folder:
-        error = union_volume(_shapes(_store(Path(folder), texts))) / volume - 1.0
-    compared = f"volume {error:+.0%} against the mesh" if mesh.is_volume else "the mesh is open and has no volume"
-    _say(f"{label}: {len(texts)} parts in {time.monotonic() - started:.0f} s, {compared}")
+        close = judge(solid, _shapes(_store(Path(folder), texts))).share_close
+    _say(f"{label}: {len(texts)} parts in {time.monotonic() - started:.0f} s, {close:.1%} of the surface within "
+         f"{1000 * CLOSE:g} mm")
     return texts
 
 
-def _run_coacd(vertices: Array, faces: Array, settings: PartSettings) -> list[Array]:
-    """Points (n, 3) of each part of a mesh with vertices (V, 3) and faces (F, 3)."""
-    import coacd  # Imported late: it is needed once per mesh.
-
-    coacd.set_log_level("off")
-    found = coacd.run_coacd(
-        coacd.Mesh(vertices, faces), threshold=settings.threshold, max_convex_hull=settings.max_parts, **_SEARCH
-    )
-    return [np.asarray(points, dtype=float) for points, _ in found]
-
-
-def reduced_hull(points: Array, max_vertices: int) -> tuple[Array, Array] | None:
+def reduced_hull(points: Array, max_vertices: int, slack: float) -> tuple[Array, Array] | None:
     """Vertices (V, 3) and outward faces (F, 3) of nearly the convex hull of points (N, 3); None if it is flat.
 
     Vertices are added one by one, always the point farthest outside the current hull, until no point is outside by more
-    than 1/2000 of the longest side or there are `max_vertices`.
+    than `slack` (m) or there are `max_vertices`.
     """
     from scipy.spatial import ConvexHull, QhullError
 
-    tolerance = _TOLERANCE * float(np.ptp(points, axis=0).max())
     try:
         corners = points[ConvexHull(points).vertices]
         chosen = _spanning_four(corners)
         while True:
             hull = ConvexHull(corners[chosen])
             beyond = (corners @ hull.equations[:, :3].T + hull.equations[:, 3]).max(axis=1)
-            if len(chosen) >= max_vertices or beyond.max() <= tolerance:
+            if len(chosen) >= max_vertices or beyond.max() <= slack:
                 break
             chosen.append(int(beyond.argmax()))
     except QhullError:
