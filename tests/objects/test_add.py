@@ -230,7 +230,7 @@ def test_a_replacement_that_is_stopped_leaves_what_was_there(
 
 
 def test_an_object_of_parts_brings_its_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def halves(solid: RepairedSolid) -> list[tuple[Array, Array]]:
+    def halves(solid: RepairedSolid, finer: bool) -> list[tuple[Array, Array]]:
         sides = (box((0.03, 0.05, 0.04), (x, 0.0, 0.0)) for x in (-0.015, 0.015))
         return [(np.asarray(side.vertices), np.asarray(side.faces)) for side in sides]
 

@@ -37,7 +37,7 @@ TORUS = trimesh.creation.torus(0.05, 0.015, major_sections=48, minor_sections=24
 def hull_for_parts(monkeypatch: pytest.MonkeyPatch) -> None:
     """Replaces the slow cutter: gives the solid's own hull."""
 
-    def parts(made: RepairedSolid) -> list[tuple[Array, Array]]:
+    def parts(made: RepairedSolid, finer: bool) -> list[tuple[Array, Array]]:
         hull = trimesh.Trimesh(*made.mesh, process=False).convex_hull
         return [(np.asarray(hull.vertices), np.asarray(hull.faces))]
 
@@ -158,6 +158,21 @@ def test_triangles_are_thinned_out_by_less_than_a_millimetre(tmp_path: Path) -> 
 
 
 def test_no_parts_at_all_is_an_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(fit, "part_hulls", lambda solid: [])
+    monkeypatch.setattr(fit, "part_hulls", lambda solid, finer: [])
     with pytest.raises(DataError, match="no convex parts can be made because the solid is too thin"):
         fit_shapes(solid(box()), tmp_path, "parts")
+
+
+def test_parts_that_are_far_off_are_made_again_finer(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """At first half of a bar of 100 mm, then the whole bar."""
+    asked: list[bool] = []
+
+    def parts(made: RepairedSolid, finer: bool) -> list[tuple[Array, Array]]:
+        asked.append(finer)
+        bar = trimesh.creation.box((0.1 if finer else 0.05, 0.02, 0.02))
+        return [(np.asarray(bar.vertices), np.asarray(bar.faces))]
+
+    monkeypatch.setattr(fit, "part_hulls", parts)
+    bar = trimesh.creation.box((0.1, 0.02, 0.02))
+    fitted = fit_shapes(repair(np.asarray(bar.vertices), np.asarray(bar.faces)), tmp_path, "parts")
+    assert asked == [False, True] and fitted.gaps.share_close == 1.0 and fitted.overlap == pytest.approx(1.0)

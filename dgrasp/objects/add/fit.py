@@ -35,6 +35,8 @@ Choice = Literal["auto", "box", "cylinder", "sphere", "capsule", "parts", "mesh"
 COLLISION_FILE = "collision.obj"
 FARTHEST = 0.007
 """Largest distance between the surfaces of a solid and of a primitive that is taken, m."""
+SHARE_CLOSE = 0.95
+"""Share of the surfaces within 2 mm below which parts are made again, finer."""
 COLLISION_FACES = 2000
 """Triangles of the mesh that collides; more if its surface would move too far (`simplified`)."""
 _FIT_FACES, _FIT_POINTS = 3000, 6000
@@ -77,14 +79,18 @@ def fit_shapes(solid: RepairedSolid, folder: Path, choice: Choice = "auto", thre
             return FittedShapes(best, (fits[best][0],), tried[best], tried, gaps)
     if choice in PRIMITIVES:
         raise DataError(f"no {choice} can be fitted because the solid is too thin; choose another --shape")
-    kind, shapes = ("mesh", (_mesh(solid, folder),)) if choice == "mesh" else ("parts", _parts(solid, folder))
+    kind, shapes = ("mesh", (_mesh(solid, folder),)) if choice == "mesh" else ("parts", _parts(solid, folder, False))
+    gaps = judge(solid, shapes)
+    if kind == "parts" and gaps.share_close < SHARE_CLOSE:
+        shapes = _parts(solid, folder, True)
+        gaps = judge(solid, shapes)
     tried[kind] = union_overlap(solid, shapes)
-    return FittedShapes(kind, shapes, tried[kind], tried, judge(solid, shapes))
+    return FittedShapes(kind, shapes, tried[kind], tried, gaps)
 
 
-def _parts(solid: RepairedSolid, folder: Path) -> tuple[Shape, ...]:
+def _parts(solid: RepairedSolid, folder: Path, finer: bool) -> tuple[Shape, ...]:
     shapes = []
-    for index, hull in enumerate(part_hulls(solid)):
+    for index, hull in enumerate(part_hulls(solid, finer)):
         shapes.append(Shape("hull", file=folder / f"{index:02d}.obj"))
         write_atomic(folder / f"{index:02d}.obj", obj_text(*hull))
     if not shapes:

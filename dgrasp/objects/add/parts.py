@@ -34,6 +34,8 @@ TOLERANCE, LEAST_SHARE = 0.0015, 0.02
 """How far a part may reach beyond the surface, m; less for objects of which it is more than this share of the size."""
 MOST_PARTS, MOST_VERTICES = 96, 64
 """Most parts of an object, and most vertices of each."""
+_FINER, MOST_FINER_PARTS = 0.8, 144
+"""Share of the tolerance, and most parts, of an object that the usual ones do not meet well."""
 _SLACK = 0.1
 """Share of the tolerance by which a surface may move when its triangles and the parts' vertices are thinned out."""
 _FORMAT = 2
@@ -64,13 +66,17 @@ def convex_parts(mesh_file: Path) -> tuple[Shape, ...]:
         return _shapes(_store(_temporary_root() / name, texts))
 
 
-def part_hulls(solid: RepairedSolid) -> list[tuple[Array, Array]]:
-    """Vertices (V, 3) m and outward faces (F, 3) of the convex parts of a solid; none if it is too thin for any."""
+def part_hulls(solid: RepairedSolid, finer: bool = False) -> list[tuple[Array, Array]]:
+    """Vertices (V, 3) m and outward faces (F, 3) of the convex parts of a solid; none if it is too thin for any.
+
+    finer: a smaller tolerance and more parts.
+    """
     from dgrasp.objects.add.cut import cut  # Imported late: it takes a second, and parts are mostly in the cache.
 
     tolerance = min(TOLERANCE, LEAST_SHARE * float(np.ptp(solid.mesh[0], axis=0).max()))
+    tolerance, most = (_FINER * tolerance, MOST_FINER_PARTS) if finer else (tolerance, MOST_PARTS)
     slack = _SLACK * tolerance
-    pieces = cut(solid.solid.simplify(slack), tolerance, MOST_PARTS)
+    pieces = cut(solid.solid.simplify(slack), tolerance, most)
     hulls = [reduced_hull(points, MOST_VERTICES, slack) for points in pieces]
     return [hull for hull in hulls if hull is not None]
 
