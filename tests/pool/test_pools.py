@@ -87,7 +87,7 @@ def test_an_interrupted_collection_leaves_the_pool_usable(serial, parallel):
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        parallel.collect(_actor(), 1, 8 * EPISODE, interrupt)
+        parallel.collect(_actor(), 1, EPISODE, interrupt)
     observation = parallel.collect(_actor(), 4, EPISODE, lambda n: None).last_observation
     assert np.array_equal(observation, serial.collect(_actor(), 4, EPISODE, lambda n: None).last_observation)
 
