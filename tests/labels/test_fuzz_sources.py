@@ -27,8 +27,9 @@ from dgrasp.labels.recorded.skips import Skip
 from tests.hand.mano_file import pickled
 from tests.labels.files import make_labels
 from tests.labels.mini_dexycb import make_mini, mano_files, standard
-from tests.labels.test_fuzz import hostile_streams, in_extension_registry, mutate, rewrite  # noqa: F401
+from tests.labels.test_fuzz import mutate, rewrite
 from tests.labels.test_ho3d import annotation, text_protocol
+from tests.labels.test_hostile import hostile_streams, in_extension_registry  # noqa: F401
 from tests.labels.test_mano_tables import GIVEN, table, write_csv
 
 N = int(os.environ.get("DGRASP_FUZZ", "2000"))

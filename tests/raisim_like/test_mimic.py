@@ -65,6 +65,15 @@ def error(system: ArticulatedSystem) -> float:
     return float(np.abs(q - system.model.ties.coordinates(q)).max())
 
 
+def worst_error(world: World, system: ArticulatedSystem, control_steps: int) -> float:
+    """The largest error after each of some control steps."""
+    worst = 0.0
+    for _ in range(control_steps):
+        world.integrate(13)
+        worst = max(worst, error(system))
+    return worst
+
+
 # Reading -----------------------------------------------------------------------------------------
 
 
@@ -162,10 +171,7 @@ def test_gravity_on_the_outer_link_is_felt_at_the_leader(world: World, tmp_path:
     world.set_gravity((0, 0, -G))
     system = add(world, write_finger(tmp_path / "arm.urdf"))
     system.set_pd_target([0.3, 0.0])
-    worst = 0.0
-    for _ in range(60):
-        world.integrate(13)
-        worst = max(worst, error(system))
+    worst = worst_error(world, system, 60)
     q0, q1 = system.generalized_coordinate
     outer = 0.05 * G * 0.1 * np.cos(q0 + q1)
     assert KP * (q0 - 0.3) == pytest.approx(2.0 * 0.05 * G * 0.1 * np.cos(q0) + (1.0 + M) * outer, abs=1e-4)
@@ -184,10 +190,7 @@ def test_a_wall_stops_both_joints_against_the_leader_s_motor(world: World, tmp_p
     wall = world.add_body([Shape("box", (0.2, 0.2, 0.2))], 0.0, np.eye(3))
     wall.set_state((0.1, 0, -0.22))
     system.set_pd_target([0.5, 0.0])
-    worst = 0.0
-    for _ in range(30):
-        world.integrate(13)
-        worst = max(worst, error(system))
+    worst = worst_error(world, system, 30)
     q0, _ = system.generalized_coordinate
     contacts = system.contacts()
     assert q0 < 0.4 and {c.link_a for c in contacts} == {1} and worst < TOLERANCE[world.engine.name]
