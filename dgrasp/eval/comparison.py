@@ -29,7 +29,7 @@ def differences(method: Method, config: Config, choice: DataChoice) -> list[str]
         found.append(f"the window is {config.eval.window_s:g} s, not {' or '.join(f'{w:g}' for w in WINDOWS)} s")
     limit = config.labels.limit_per_object
     if limit is not None:
-        found.append(f"at most {limit} labels of each object were tested (labels.limit_per_object)")
+        found.append(f"labels were left out (labels.limit_per_object={limit})")
     there, here = (flat_keys(one.model_dump(mode="json")) for one in (make_config({}), config))
     found += [f"{key} is {here[key]}, not {there[key]}" for key in here
               if key.startswith(_KEYS) and key not in _FREE and here[key] != there[key]]

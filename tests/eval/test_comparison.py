@@ -52,7 +52,7 @@ def test_the_papers_own_tests_are_comparable() -> None:
         ({"env": {"grasp_steps": 30}}, "env.grasp_steps is 30, not 60"),
         ({"env": {"action": {"kp_rotation": 500.0}}}, "env.action.kp_rotation is 500.0, not 50.0"),
         ({"labels": {"limit_per_object": 2}},
-         "at most 2 labels of each object were tested (labels.limit_per_object)"),
+         "labels were left out (labels.limit_per_object=2)"),
         ({"motion": {"targets": "near"}}, "the targets are near, not easy"),
     ],
 )
