@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from dgrasp.errors import DataError
-from dgrasp.labels.source import LabelSet, load_labels
+from dgrasp.labels.load import LabelSet, load_labels
 from dgrasp.types import GraspLabel
 
 FILE = "success_idxs.npy"

@@ -11,7 +11,7 @@ import pytest
 from dgrasp.errors import DataError
 from dgrasp.eval import agreement
 from dgrasp.hand.mano.layout import MANO_NAMES
-from dgrasp.labels.source import LabelSet
+from dgrasp.labels.load import LabelSet
 from tests.scenes import make_spec
 
 

@@ -18,7 +18,7 @@ import pytest
 from dgrasp.errors import DataError
 from dgrasp.files.joblib import read_joblib_arrays
 from dgrasp.labels.formats.official import read_official
-from dgrasp.labels.source import load_labels
+from dgrasp.labels.load import load_labels
 from tests.labels.files import (
     WRAPPER,
     array_opcodes,

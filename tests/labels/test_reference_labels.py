@@ -9,7 +9,7 @@ from dgrasp.errors import DataError
 from dgrasp.hand.mano.layout import MANO_NAMES
 from dgrasp.labels.formats.native import read_native, write_native
 from dgrasp.labels.formats.official import read_official
-from dgrasp.labels.source import load_labels
+from dgrasp.labels.load import load_labels
 from dgrasp.objects.names import YCB_NAMES
 from dgrasp.types import GraspLabel
 from tests.reference import reference_or_skip

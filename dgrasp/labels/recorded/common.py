@@ -75,7 +75,7 @@ def finish(
 
     from dgrasp.hand.mano.layout import MANO_NAMES
     from dgrasp.labels.formats.native import write_native
-    from dgrasp.labels.source import sha256_of
+    from dgrasp.labels.load import sha256_of
 
     reasons = {place[:200]: reason for place, (reason, _) in list(skipped.items())[:MAX_REASONS]}
     write_native(arguments.out, labels, {

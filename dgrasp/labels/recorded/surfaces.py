@@ -13,7 +13,7 @@ from dgrasp.errors import DataError
 from dgrasp.geometry.inertia import load_mesh
 from dgrasp.hand.mano.skeleton import N_PARTS
 from dgrasp.hand.spheres import CONTACT_DISTANCE
-from dgrasp.labels.source import sha256_of
+from dgrasp.labels.load import sha256_of
 from dgrasp.objects.body import DETAILED_MESH
 from dgrasp.objects.names import YCB_NAMES, resolve_object
 from dgrasp.objects.store import MESH_FILE, NAME

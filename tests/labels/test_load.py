@@ -7,9 +7,10 @@ import pytest
 
 from dgrasp.errors import DataError
 from dgrasp.hand.mano.layout import MANO_NAMES
-from dgrasp.labels import source
+from dgrasp.labels import load
 from dgrasp.labels.formats.native import write_native
-from dgrasp.labels.source import FileContent, LabelFormat, LabelSet, LabelSource, load_labels, select
+from dgrasp.labels.load import FileContent, LabelFormat, LabelSet, load_labels, select
+from dgrasp.labels.sources import SOURCES, LabelFiles
 from tests.labels.files import dexycb_content, dump, make_labels, static_content
 
 
@@ -45,11 +46,11 @@ def test_other_files_are_refused(tmp_path: Path, raw: bytes) -> None:
 
 
 def test_a_new_format_and_a_new_source_are_an_entry_each(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    mine = LabelSource("mine", {"train": "mine_train.txt"}, "my terms", False)
-    monkeypatch.setitem(source.RELEASED, "mine", mine)
+    mine = LabelFiles("mine", "release", {"train": "mine_train.txt"}, "my terms", comparable_with_paper=False)
+    monkeypatch.setitem(SOURCES, "mine", mine)
     read = LabelFormat(b"mine", "a text file", "a .txt of mine",
                        lambda path: FileContent(make_labels(), "free", MANO_NAMES, None))
-    monkeypatch.setattr(source, "FORMATS", (*source.FORMATS, read))
+    monkeypatch.setattr(load, "FORMATS", (*load.FORMATS, read))
     (tmp_path / "mine_train.txt").write_bytes(b"mine: 1")
     labels = load_labels(tmp_path / "mine_train.txt")
     assert (labels.hand, labels.licence, labels.published_as) == ("free", "my terms", ("mine", "train"))

@@ -17,39 +17,10 @@ from dgrasp.hand.layout import HandNames
 from dgrasp.hand.mano.layout import MANO_NAMES
 from dgrasp.labels.formats import official
 from dgrasp.labels.formats.native import names_of, read_native_with_meta
+from dgrasp.labels.sources import SOURCES, sources_in
 from dgrasp.labels.splits import object_set
 from dgrasp.objects.names import resolve_object
 from dgrasp.types import GraspLabel
-
-
-@dataclass(frozen=True)
-class LabelSource:
-    """Labels that `labels.source` names: their files and their licence.
-
-    files: split ("train", "test") -> name of its file in labels/ of the data's folder. comparable_with_paper: whether
-    the paper's tables report on these labels.
-    """
-
-    name: str
-    files: Mapping[str, str]
-    licence: str
-    comparable_with_paper: bool
-
-
-_RELEASED = (
-    LabelSource("dexycb", {"train": "dexycb_train_labels.pkl", "test": "dexycb_test_labels.pkl"},
-                licences.DEXYCB, comparable_with_paper=True),
-    LabelSource("grasptta", {"train": "dexycb_grasptta_train.pkl", "test": "dexycb_grasptta_test.pkl"},
-                licences.MANO, comparable_with_paper=True),
-    LabelSource("contactopt", {"train": "contact_opt_train.pkl", "test": "contact_opt_test.pkl"},
-                licences.MANO, comparable_with_paper=True),
-)  # fmt: skip
-RELEASED = {source.name: source for source in _RELEASED}
-"""The sources in a folder laid out like the authors' release, by the name that a config gives them."""
-
-FREE = LabelSource("free", {"train": "free_train.npz", "test": "free_test.npz"}, licences.PROJECT,
-                   comparable_with_paper=False)  # fmt: skip
-"""The free set's own labels."""
 
 
 class FileContent(NamedTuple):
@@ -144,7 +115,7 @@ def load_labels(path: Path) -> LabelSet:
     labels, hand, names, licence = form.read(path)
     # The files of the release do not state their source; their names tell it.
     known = published_as(path.name) if licence is None else None
-    source = RELEASED[known[0]] if known else None
+    source = SOURCES[known[0]] if known else None
     if licence is None:
         licence = source.licence if source else licences.MANO
     comparable = source is not None and source.comparable_with_paper
@@ -153,8 +124,8 @@ def load_labels(path: Path) -> LabelSet:
 
 def published_as(name: str) -> tuple[str, str] | None:
     """(source, split) of a file of the authors' release, by the file's name; None for other names."""
-    files = {file: (source.name, split) for source in RELEASED.values() for split, file in source.files.items()}
-    return files.get(name)
+    released = sources_in("release").values()
+    return {file: (source.name, split) for source in released for split, file in source.files.items()}.get(name)
 
 
 def select(
