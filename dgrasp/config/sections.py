@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, field_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, field_validator
+
+from dgrasp.config.tasks import TASKS
 
 Positive = Annotated[float, Field(gt=0)]
 NonNegative = Annotated[float, Field(ge=0)]
@@ -156,12 +158,18 @@ class HoldConfig(Section):
     drop: Positive = 0.05
 
 
+def _known_task(name: str) -> str:
+    if name not in TASKS:
+        raise ValueError(f"expected one of {', '.join(TASKS)}")
+    return name
+
+
 class EnvConfig(Section):
     """The task: episode, components that the paper ablates, reward.
 
-    task: "grasp" trains a grasping policy. The other two have a target for the object (docs/motion.md): "motion" trains
-    a policy of the wrist while a frozen policy grasps (the paper's baseline "learned policy"), and "flat" trains one
-    policy of everything (its baseline "Flat-RL").
+    task: one of `TASKS`. "grasp" trains a grasping policy. The other two have a target for the object (docs/motion.md):
+    "motion" trains a policy of the wrist while a frozen policy grasps (the paper's baseline "learned policy"), and
+    "flat" trains one policy of everything (its baseline "Flat-RL").
     lengthens_by: control steps by which a training episode lengthens after every `labels.doubles_every` epochs, if that
     is not null.
     wrist_error: how pose error and pose reward measure the wrist: "euler" takes the difference of Euler angles, as the
@@ -170,7 +178,7 @@ class EnvConfig(Section):
     episode has passed and whether the table is gone; the actor does not.
     """
 
-    task: Literal["grasp", "motion", "flat"] = "grasp"
+    task: Annotated[str, AfterValidator(_known_task)] = "grasp"
     episode_steps: Steps = 195
     lengthens_by: Annotated[int, Field(ge=0, le=MAX_STEPS)] = 0
     grasp_steps: Steps = 60
