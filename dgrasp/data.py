@@ -25,7 +25,7 @@ from dgrasp.objects.store import StoredObject, default_store, find_object, is_ad
 _HAND_FILES: dict[DataKind, str] = {"release": f"{AUTHORS_HAND}.urdf", "free": FREE_URDF.name}
 _HAND_IDS: dict[DataKind, str] = {"release": AUTHORS_HAND, "free": FREE_HAND}
 _DEFAULT_SOURCE: str = LabelsConfig.model_fields["source"].default
-_LAYOUT = "a folder laid out like the authors' release (hand/mano_mean.urdf, objects/NAME/*.obj, labels/*.pkl)"
+_LAYOUT = f"a folder laid out like the authors' release (hand/{AUTHORS_HAND}.urdf, objects/NAME/*.obj, labels/*.pkl)"
 
 
 @dataclass(frozen=True)
@@ -118,7 +118,7 @@ def resolve(config: Config) -> DataChoice:
     hand_urdf, hand = source_of_hand.urdf, source_of_hand.id
     path, named = _label_file(config, root, kind)
     labels = load_labels(path)
-    source, split = named or labels.published_as or ("file", "file")
+    source, split = named or labels.released_as or ("file", "file")
     if labels.hand != hand:
         raise DataError(f"{path}: labels made for the hand {labels.hand!r}, but the hand of {root} is {hand!r}; "
                         "a grasp fits only its own hand; choose data and labels that go together (--data, --labels, "
@@ -146,7 +146,7 @@ def resolve(config: Config) -> DataChoice:
 
 
 def _inertia(config: Config, kind: DataKind, objects: Sequence[str], added: Mapping[str, StoredObject]) -> Inertia:
-    return which_inertia(config.physics.official_inertia(kind == "release" and name not in added) for name in objects)
+    return which_inertia(config.physics.authors_inertia(kind == "release" and name not in added) for name in objects)
 
 
 def _object_folders(config: Config, root: Path) -> list[Path]:

@@ -18,9 +18,9 @@ MAX_STEPS = 10_000
 Steps = Annotated[int, Field(ge=1, le=MAX_STEPS)]
 WristError = Literal["euler", "rotation_vector"]
 Inertia = Literal["true", "official", "mixed"]
-_OFFICIAL = "the authors' inertia of 1 kg m2"
+_AUTHORS = "the authors' inertia of 1 kg m2"
 INERTIA: dict[Inertia, str] = {
-    "true": "true inertia", "official": _OFFICIAL, "mixed": f"{_OFFICIAL}, true inertia for added objects",
+    "true": "true inertia", "official": _AUTHORS, "mixed": f"{_AUTHORS}, true inertia for added objects",
 }  # fmt: skip
 """The inertia of a set of objects (`PhysicsConfig.official_compat`), and its description for users."""
 
@@ -30,7 +30,7 @@ class Section(BaseModel):
 
 
 class LabelsConfig(Section):
-    """The grasp labels: a split of a named release, or a file, and which of its objects.
+    """The grasp labels: a split of a label source, or a file, and which of its objects.
 
     objects: names, numbers, or the paper's sets, "unseen_1" to "unseen_6" and "seen_1" to "seen_6" (docs/labels.md).
     per_epoch: number of labels, drawn anew, in each training epoch; null takes all. doubles_every: number of epochs
@@ -71,11 +71,11 @@ class PhysicsConfig(Section):
 
     preset: "faithful" is as close to RaiSim as the engine can be; "fast" trades some of that for speed
     (docs/physics.md). test.py takes "faithful" whatever a run trained with, unless physics.preset is given.
-    concave: how a release's concave objects collide: "mesh" as the authors' triangles (pybullet only), "parts" as
+    concave: how the release's concave objects collide: "mesh" as the authors' triangles (pybullet only), "parts" as
     convex parts cut from them; "auto" takes the better one for the object and the engine (docs/physics.md).
     official_compat: true gives every object 1 kg m^2 about every axis, and the release's and the free objects their
     centre of mass at the origin, as in the authors' runs; false gives the mass distribution that follows from shape
-    and mass; null takes the first for objects of a release, and the second for the free set and for added objects.
+    and mass; null takes the first for objects of the release, and the second for the free set and for added objects.
     """
 
     timestep: Positive = 0.00222
@@ -88,14 +88,14 @@ class PhysicsConfig(Section):
     hand_table_collision: bool = True
     self_collision: bool = False
 
-    def official_inertia(self, released: bool) -> bool:
-        """Whether an object has the authors' 1 kg m^2; `released` says whether it is an object of a release."""
+    def authors_inertia(self, released: bool) -> bool:
+        """Whether an object has the authors' 1 kg m^2; `released` says whether it is an object of their release."""
         return released if self.official_compat is None else self.official_compat
 
 
-def which_inertia(official: Iterable[bool]) -> Inertia:
-    """The inertia of a set of objects; `official` has one entry for each: whether it has the authors'."""
-    found = set(official)
+def which_inertia(authors: Iterable[bool]) -> Inertia:
+    """The inertia of a set of objects; `authors` has one entry for each: whether it has the authors'."""
+    found = set(authors)
     return "mixed" if len(found) > 1 else "official" if True in found else "true"
 
 

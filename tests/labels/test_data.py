@@ -130,7 +130,7 @@ def test_inertia_follows_the_data(tmp_path: Path) -> None:
             assert choice.inertia == choice.stamp()["inertia"] == expected
             assert INERTIA[choice.inertia] in choice.describe()
     physics = config().physics
-    assert physics.official_inertia(released=True) and not physics.official_inertia(released=False)
+    assert physics.authors_inertia(released=True) and not physics.authors_inertia(released=False)
     assert which_inertia([True, True]) == "official" and which_inertia([False]) == "true"
     assert which_inertia([True, False]) == "mixed"
 
