@@ -1,6 +1,7 @@
 """The label sources, by the name that `labels.source` gives them.
 
-To add one, write a module with a `LabelSource` and list it in `_ALL`.
+To add one, write a module with a `LabelSource` and list it in `_ALL`. In data without the config's default source, the
+default means the first source of that data that is listed.
 """
 
 from __future__ import annotations
