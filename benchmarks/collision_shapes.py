@@ -1,9 +1,10 @@
 """How close convex parts are to their objects: `python -m benchmarks.collision_shapes --reference DIR`.
 
-Prints, for a mug, a hoop and a bowl, and for the nine concave objects of a release: the number of parts and their
-vertices; by how much their volume is larger; the share of the points inside walls and bars of up to 10 mm that collide;
-the share of the points of hollows (where a ball of 8 mm fits, and a place is 5 mm or more away from the object) that
-are free; the shares of the object's surface and of the parts' surface within 2 mm of the other; and the CPU seconds.
+Prints, for a mug, a hoop and a bowl, and for the nine concave objects of the authors' release: the number of parts and
+their vertices; by how much their volume is larger; the share of the points inside walls and bars of up to 10 mm that
+collide; the share of the points of hollows (where a ball of 8 mm fits, and a place is 5 mm or more away from the
+object) that are free; the shares of the object's surface and of the parts' surface within 2 mm of the other; and the
+CPU seconds.
 """
 
 from __future__ import annotations
@@ -96,7 +97,7 @@ def measure(solid: RepairedSolid) -> list[str]:
 def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--reference", type=Path, metavar="DIR", help="a release's folder, for its concave objects")
+    parser.add_argument("--reference", type=Path, metavar="DIR", help="the authors' release, for its concave objects")
     parser.add_argument("names", nargs="*", help="objects (default: all)")
     arguments = parser.parse_args()
     print("| object | parts | vertices | volume | thin | free | surface | parts' surface | largest, mm | CPU, s |")

@@ -17,7 +17,7 @@ __all__ = ["__version__", "load_policy"]
 def load_policy(source: str | Path) -> GymPolicy:
     """A trained policy as a function from observations to actions of the Gymnasium environments.
 
-    source: a run directory, a checkpoint, published weights, or "pretrained"; see `dgrasp.gym.load_policy`.
+    source: a run directory, a checkpoint, a file of `dgrasp publish`, or "pretrained"; see `dgrasp.gym.load_policy`.
     """
     # Imported late: Gymnasium and torch take seconds, and most programs need neither.
     from dgrasp.gym import load_policy

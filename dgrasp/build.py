@@ -29,10 +29,10 @@ def build_objects(choice: DataChoice, config: Config) -> dict[str, ObjectModel]:
 
     def build(name: str) -> ObjectModel:
         if name in choice.added:
-            return load_object(choice.added[name].folder, physics.official_inertia(False), parts=concave == "parts")
+            return load_object(choice.added[name].folder, physics.authors_inertia(False), parts=concave == "parts")
         if choice.kind == "free":
-            return free_object(name, physics.masses, physics.official_inertia(False))
-        return release_object(choice.objects_dir, name, physics.masses, physics.official_inertia(True), concave)
+            return free_object(name, physics.masses, physics.authors_inertia(False))
+        return release_object(choice.objects_dir, name, physics.masses, physics.authors_inertia(True), concave)
 
     return {name: build(name) for name in choice.labels.objects}
 

@@ -10,21 +10,22 @@ import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 from dgrasp.config.experiment import Config
-from dgrasp.config.sections import INERTIA, Inertia, which_inertia
+from dgrasp.config.sections import INERTIA, Inertia, LabelsConfig, which_inertia
 from dgrasp.errors import DataError
 from dgrasp.files.paths import data_root, user_data_root
 from dgrasp.hand.store import AUTHORS_HAND, FREE_HAND, FREE_URDF, HandSource, authors_source, find_hand, free_source
-from dgrasp.labels.source import FREE, RELEASED, LabelSet, load_labels, select, sha256_of
+from dgrasp.labels.load import LabelSet, load_labels, select, sha256_of
+from dgrasp.labels.sources import SOURCES, DataKind, sources_in
 from dgrasp.objects.names import YCB_NAMES, nearest
 from dgrasp.objects.store import StoredObject, default_store, find_object, is_added
 
-Kind = Literal["free", "release"]
-_HAND_FILES: dict[Kind, str] = {"release": f"{AUTHORS_HAND}.urdf", "free": FREE_URDF.name}
-_HAND_IDS: dict[Kind, str] = {"release": AUTHORS_HAND, "free": FREE_HAND}
-_LAYOUT = "a folder laid out like the authors' release (hand/mano_mean.urdf, objects/NAME/*.obj, labels/*.pkl)"
+_HAND_FILES: dict[DataKind, str] = {"release": f"{AUTHORS_HAND}.urdf", "free": FREE_URDF.name}
+_HAND_IDS: dict[DataKind, str] = {"release": AUTHORS_HAND, "free": FREE_HAND}
+_DEFAULT_SOURCE: str = LabelsConfig.model_fields["source"].default
+_LAYOUT = f"a folder laid out like the authors' release (hand/{AUTHORS_HAND}.urdf, objects/NAME/*.obj, labels/*.pkl)"
 
 
 @dataclass(frozen=True)
@@ -46,7 +47,7 @@ class DataChoice:
     """
 
     root: Path
-    kind: Kind
+    kind: DataKind
     hand_source: HandSource
     hand_sha256: str
     objects_dir: Path
@@ -110,14 +111,14 @@ def resolve(config: Config) -> DataChoice:
     was found), if the labels were made for another hand, and, with `fallback: error`, if only the free set is found.
     """
     root, notes = _find_root(config)
-    kind: Kind = "free" if _is_free(root) else "release"
+    kind: DataKind = "free" if _is_free(root) else "release"
     if kind == "release" and not os.path.isdir(root / "objects"):
         raise DataError(f"{root}: no folder objects/; expected {_LAYOUT}")
     source_of_hand = _hand(config, root, kind)
     hand_urdf, hand = source_of_hand.urdf, source_of_hand.id
     path, named = _label_file(config, root, kind)
     labels = load_labels(path)
-    source, split = named or labels.published_as or ("file", "file")
+    source, split = named or labels.released_as or ("file", "file")
     if labels.hand != hand:
         raise DataError(f"{path}: labels made for the hand {labels.hand!r}, but the hand of {root} is {hand!r}; "
                         "a grasp fits only its own hand; choose data and labels that go together (--data, --labels, "
@@ -144,8 +145,8 @@ def resolve(config: Config) -> DataChoice:
     )
 
 
-def _inertia(config: Config, kind: Kind, objects: Sequence[str], added: Mapping[str, StoredObject]) -> Inertia:
-    return which_inertia(config.physics.official_inertia(kind == "release" and name not in added) for name in objects)
+def _inertia(config: Config, kind: DataKind, objects: Sequence[str], added: Mapping[str, StoredObject]) -> Inertia:
+    return which_inertia(config.physics.authors_inertia(kind == "release" and name not in added) for name in objects)
 
 
 def _object_folders(config: Config, root: Path) -> list[Path]:
@@ -226,7 +227,7 @@ def _named_root(name: str, origin: str) -> Path:
     return folder
 
 
-def _hand(config: Config, root: Path, kind: Kind) -> HandSource:
+def _hand(config: Config, root: Path, kind: DataKind) -> HandSource:
     """The data's own hand, or the hand that the config names (an id, a URDF file, a built hand's folder)."""
     default, own = root / "hand" / _HAND_FILES[kind], _HAND_IDS[kind]
     if config.hand is not None and config.hand != own:
@@ -241,25 +242,26 @@ def _hand(config: Config, root: Path, kind: Kind) -> HandSource:
     return free_source(default) if kind == "free" else authors_source(default)
 
 
-def _label_file(config: Config, root: Path, kind: Kind) -> tuple[Path, tuple[str, str] | None]:
+def _label_file(config: Config, root: Path, kind: DataKind) -> tuple[Path, tuple[str, str] | None]:
     """The label file, and (source, split), or None if the config names a file."""
     source, split, folder = config.labels.source, config.labels.split, root / "labels"
-    # In the free set, the default source "dexycb" means the free labels.
-    there = RELEASED if kind == "release" else {"dexycb": FREE}
-    if source in RELEASED:
-        if source not in there:
-            raise DataError(f"labels.source: the free set has no labels of {source}; expected dexycb, which means the "
-                            f"free labels in this set, or --data with {_LAYOUT}")
-        chosen = there[source]
+    there = sources_in(kind)
+    # Where the default source is not, the default means the data's own labels: in the free set, the free ones.
+    named = there | {_DEFAULT_SOURCE: there.get(_DEFAULT_SOURCE) or next(iter(there.values()))}
+    if source in named:
+        chosen = named[source]
         path = folder / chosen.files.get(split, "")
         if os.path.isfile(path):
             return path, (chosen.name, split)
-        files = {f"{key} {t}": name for key, named in there.items() for t, name in named.files.items()}
+        files = {f"{key} {t}": name for key, one in there.items() for t, name in one.files.items()}
         splits = [text for text, name in files.items() if os.path.isfile(folder / name)]
-        raise DataError(f"{path}: no {split} split of {source} labels here; expected one of the splits that are there: "
-                        f"{', '.join(splits) or 'none'}")
+        raise DataError(f"{path}: no {split} split of {chosen.name} labels here; expected one of the splits that are "
+                        f"there: {', '.join(splits) or 'none'}")
+    if source in SOURCES:
+        here, elsewhere = ("the free set", f"--data with {_LAYOUT}") if kind == "free" else (str(root), "--data free")
+        raise DataError(f"labels.source: {here} has no labels of {source}; expected {', '.join(there)}, or {elsewhere}")
     for path in (Path(os.path.expanduser(source)), folder / source):
         if source and os.path.isfile(path):
             return path, None
-    raise DataError(f"labels.source: {source!r} is neither {', '.join(RELEASED)} nor a file (here or in {folder})"
-                    f"{nearest(source, RELEASED)}")
+    raise DataError(f"labels.source: {source!r} is neither {', '.join(there)} nor a file (here or in {folder})"
+                    f"{nearest(source, there)}")

@@ -236,7 +236,7 @@ class GymPolicy:
 
 
 def load_policy(source: str | Path) -> GymPolicy:
-    """A policy from a run directory (its last checkpoint), a checkpoint, published weights, or "pretrained".
+    """A policy from a run directory (its last checkpoint), a checkpoint, a file of `dgrasp publish`, or "pretrained".
 
     `DataError` for a file that is none. Its `config` makes environments that show what it was trained on:
     `gymnasium.make(ENV_ID, cfg=policy.config)`.

@@ -32,6 +32,19 @@ BATCHES: Mapping[str, Callable[[], BatchMaker]] = {
 """Name of an engine -> function that returns its maker, or raises `EngineError` if a package is not installed."""
 CONCAVE_MESHES = ("pybullet",)
 """The engines that collide concave triangle meshes; the others take convex parts."""
+AT_ONCE: Mapping[str, int] = {"pybullet": 128}
+"""Engine -> most worlds to have at once; the others take any number. A PyBullet world takes 29 MB, and one process has
+at most 1024 of them."""
+
+
+def in_parts(count: int, engine: str, most: int | None = None) -> list[slice]:
+    """Slices of `count` worlds, of about equal size: each is simulated at once, one after another.
+
+    A slice has at most `AT_ONCE` worlds of the engine, and at most `most`. No world: one empty slice.
+    """
+    size = min(AT_ONCE.get(engine, max(1, count)), most or max(1, count))
+    parts = max(1, -(-count // size))
+    return [slice(k * count // parts, (k + 1) * count // parts) for k in range(parts)]
 
 
 def find_engine(name: str) -> BatchMaker:

@@ -1,4 +1,4 @@
-"""Where tests find the authors' released data, which is never part of the project."""
+"""Where tests find the authors' release, which is never part of the project."""
 
 from __future__ import annotations
 
@@ -23,5 +23,5 @@ def reference_or_skip() -> Path:
     """The folder of the authors' release; skips the test where it is absent."""
     found = reference_dir()
     if found is None:
-        pytest.skip("the authors' released data is not here (set DGRASP_DATA to its folder)")
+        pytest.skip("the authors' release is not here (set DGRASP_DATA to its folder)")
     return found

@@ -72,7 +72,7 @@ def make_spec(count: int = 3, overrides: list[str] | None = None) -> PoolSpec:
     config: Config = load_config(None, overrides)
     hand = free_hand()
     name = "004_sugar_box"
-    objects = {name: free_object(name, config.physics.masses, config.physics.official_inertia(False))}
+    objects = {name: free_object(name, config.physics.masses, config.physics.authors_inertia(False))}
     return PoolSpec([make_label(hand, name, i) for i in range(count)], hand, objects, config)
 
 

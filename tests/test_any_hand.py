@@ -38,7 +38,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_made_labels_touch_the_object_with_the_thumb_and_another_finger(made: Path) -> None:
-    from dgrasp.labels.source import load_labels
+    from dgrasp.labels.load import load_labels
 
     labels = load_labels(made / "three.npz")
     assert labels.hand == "three" and len(labels.labels) == 2

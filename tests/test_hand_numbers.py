@@ -13,7 +13,7 @@ NUMBERS = {51, 48, 45, 63, 21, 16, 279}
 
 FORMATS = (
     "dgrasp/hand/mano/", "dgrasp/hand/free/", "dgrasp/hand/builder/", "dgrasp/labels/recorded/",
-    "dgrasp/labels/formats/official.py", "dgrasp/rl/run/published.py",
+    "dgrasp/labels/formats/release.py", "dgrasp/rl/run/published.py",
 )  # fmt: skip
 """Files that read MANO's own formats, hands made from them, or the authors' files."""
 
@@ -28,7 +28,7 @@ OTHER_THINGS = {
 
 SKELETON = "dgrasp.hand.mano.skeleton"
 READERS = ("dgrasp.hand.mano", "dgrasp.hand.free", "dgrasp.hand.builder", "dgrasp.labels.recorded",
-           "dgrasp.labels.formats.official")
+           "dgrasp.labels.formats.release")
 """Modules that may name MANO's joints and parts one by one."""
 HANDS_OF_MANO = {"dgrasp.hand.load", "dgrasp.hand.motions", "dgrasp.hand.surface", "dgrasp.hand.store"}
 """Modules of the hand that treat hands with MANO's joints and others side by side."""

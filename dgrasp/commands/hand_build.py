@@ -49,7 +49,7 @@ def main(arguments: argparse.Namespace) -> int:
     from dgrasp.hand.free.skin import free_limits, free_skin, skin_path
     from dgrasp.hand.mano.file import read_mano
     from dgrasp.hand.store import open_hand
-    from dgrasp.labels.source import load_labels, sha256_of
+    from dgrasp.labels.load import load_labels, sha256_of
 
     model = free_skin() if arguments.free else read_mano(arguments.mano)
     file, family = (skin_path(), "free") if arguments.free else (arguments.mano, "mano")

@@ -53,10 +53,10 @@ def main(arguments: argparse.Namespace) -> int:
         raise DataError(f"--seed {arguments.seed}: expected 0 or more")
 
     from dgrasp.hand.mano.file import read_mano
+    from dgrasp.labels.load import sha256_of
     from dgrasp.labels.recorded import dexycb_grasps
     from dgrasp.labels.recorded.cache import LabelCache
     from dgrasp.labels.recorded.common import finish, make_maker, progress
-    from dgrasp.labels.source import sha256_of
 
     maker = make_maker(arguments, [root / "models"])
     if maker.model.side != "right":

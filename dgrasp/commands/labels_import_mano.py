@@ -63,26 +63,26 @@ def main(arguments: argparse.Namespace) -> int:
     from dgrasp.labels.recorded.conventions import read_grasps
     from dgrasp.labels.recorded.making import numbered
     from dgrasp.labels.recorded.mano_table import read_mano_table
-    from dgrasp.labels.recorded.published import PUBLISHED
+    from dgrasp.labels.recorded.table_sources import TABLE_SOURCES
     from dgrasp.scene.scene import TABLE_TOP
     from dgrasp.scene.standing import PLACE_XY
 
     maker = make_maker(arguments, [])
-    published = None if arguments.origin is None else PUBLISHED[arguments.origin]
-    table = read_mano_table(arguments.source, arguments.object, maker.surfaces.known, published,
+    source = None if arguments.origin is None else TABLE_SOURCES[arguments.origin]
+    table = read_mano_table(arguments.source, arguments.object, maker.surfaces.known, source,
                             arguments.rotation6d == "rows", arguments.scale)
     maker.surfaces.scale = table.scale
     given = {question: getattr(arguments, question) for question in MANO_CONVENTIONS if getattr(arguments, question)}
     mean_shape, at_origin = arguments.mean_shape, arguments.object_at_origin
-    if published is not None:
-        own, given = given, dict(published.answers) | given
+    if source is not None:
+        own, given = given, dict(source.answers) | given
         mean_shape |= "betas" not in table.values
         at_origin |= not {"object_rotation", "object_translation"} & set(table.values)
     grasps = read_grasps(table, maker.model, given, mean_shape, at_origin)
     notes = ["mean shape"] * mean_shape + ["object at the origin"] * at_origin
     notes += [] if table.scale is None else [f"meshes of unit size x {table.scale:g}"]
     answers = dict(grasps.answers)
-    if published is not None:
+    if source is not None:
         answers = {question: answer if question in own else answer.replace("given", f"as {arguments.origin} has it")
                    for question, answer in answers.items()}
     print("conventions: " + ", ".join([*(f"{question} {answer}" for question, answer in answers.items()), *notes]))
@@ -95,7 +95,7 @@ def main(arguments: argparse.Namespace) -> int:
             away = np.linalg.norm(T_OH[:3, 3])
             skipped[f"row {row}"] = ("hand does not touch the object", f"{name}, wrist {away:.2g} m from its origin")
             continue
-        # Without a table the world is the object's frame, as for the labels that the authors published.
+        # Without a table the world is the object's frame, as for the labels of the authors' release.
         T_WO, T_WH = np.eye(4), T_OH
         if arguments.table is not None:
             # The position of the frame's origin on the table is arbitrary, so the object goes to the usual place.

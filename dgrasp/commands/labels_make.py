@@ -140,10 +140,10 @@ def _tasks(arguments: argparse.Namespace) -> tuple[list[_Task], NamedHand]:
     found = [_find(name, arguments.store) for name in wanted]
     config = make_config({"engine": arguments.engine}, "labels make")
 
-    from dgrasp.hand.store import open_hand
+    from dgrasp.hand.store import AUTHORS_HAND, open_hand
 
     data = None if arguments.data == "free" else Path(os.path.expanduser(arguments.data))
-    name = arguments.hand or ("free" if data is None else str(data / "hand" / "mano_mean.urdf"))
+    name = arguments.hand or ("free" if data is None else str(data / "hand" / f"{AUTHORS_HAND}.urdf"))
     hand = open_hand(name)
     _require_engine(arguments.engine)
     models = list({model.name: model for model in (_object(entry, data, config) for entry in found)}.values())
@@ -199,13 +199,13 @@ def _object(found: StoredObject | str, data: Path | None, config: Config) -> Obj
     from dgrasp.objects.release import release_object
 
     physics, parts = config.physics, config.engine not in CONCAVE_MESHES
-    official = physics.official_inertia(False)
+    authors = physics.authors_inertia(False)
     if not isinstance(found, str):
-        return load_object(found.folder, official, parts)
+        return load_object(found.folder, authors, parts)
     if data is None:
-        return free_object(found, physics.masses, official)
+        return free_object(found, physics.masses, authors)
     concave = "parts" if parts else physics.concave
-    return release_object(data / "objects", found, physics.masses, physics.official_inertia(True), concave)
+    return release_object(data / "objects", found, physics.masses, physics.authors_inertia(True), concave)
 
 
 def _files(arguments: argparse.Namespace, objects: int) -> list[Path]:

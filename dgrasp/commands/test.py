@@ -14,6 +14,7 @@ from dgrasp.config.names import BASELINES, TABLES
 from dgrasp.errors import ConfigError, DataError
 from dgrasp.files.atomic import write_atomic
 from dgrasp.files.outputs import check_outputs
+from dgrasp.labels.sources import SOURCES
 from raisim_like.registry import BATCHES
 
 if TYPE_CHECKING:
@@ -70,7 +71,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                         "cfg/dexycb.yaml)")
     parser.add_argument("--data", metavar="free|DIR", help="the free set, or a folder like the authors' release")
     parser.add_argument("--split", choices=("train", "test"), help="which labels (default: train)")
-    parser.add_argument("--labels", metavar="SOURCE|FILE", help="dexycb, grasptta, contactopt, or a label file")
+    parser.add_argument("--labels", metavar="SOURCE|FILE", help=f"{', '.join(SOURCES)}, or a label file")
     parser.add_argument("--objects", nargs="+", metavar="NAME", help="only these objects, such as 004_sugar_box")
     parser.add_argument("--engine", choices=list(BATCHES), help="physics engine")
     parser.add_argument("--window", type=float, metavar="SECONDS",

@@ -12,8 +12,8 @@ from dgrasp.errors import ConfigError
 HELP = """\
 Train a grasping policy with PPO on all labels of a split, one environment per label.
 
-The data is looked for in this order: --data, DGRASP_DATA, DEX_YCB_DIR, a release under data/, the free set.
-The first line of output says what was found. Config keys can be set at the end of the command line.
+The data is looked for in this order: --data, DGRASP_DATA, DEX_YCB_DIR, a folder like the authors' release under data/,
+the free set. The first line of output says what was found. Config keys can be set at the end of the command line.
 
 examples:
   python train.py --cfg cfg/dexycb.yaml                              all objects

@@ -25,6 +25,7 @@ from dgrasp.config.sections import (
     PpoConfig,
     Section,
 )
+from dgrasp.config.tasks import TASKS
 from dgrasp.config.values import apply_overrides, parse_yaml
 from dgrasp.errors import ConfigError
 from dgrasp.files.paths import cfg_root
@@ -78,8 +79,8 @@ class Config(Section):
         return self.env.episode_steps + self.env.lengthens_by * self.labels.doublings(epoch)
 
     def learned_steps(self, epoch: int) -> int:
-        """Control steps of a training episode that the learner sees; in task motion, those after the grasp."""
-        return self.episode_steps(epoch) - (self.env.grasp_steps if self.env.task == "motion" else 0)
+        """Control steps of a training episode that the learner sees: without those of a grasp that is given."""
+        return self.episode_steps(epoch) - (self.env.grasp_steps if TASKS[self.env.task].given_grasp else 0)
 
     def steps_in(self, epoch: int, environments: int) -> int:
         """Control steps of all environments together in a training epoch."""
@@ -108,7 +109,7 @@ class Config(Section):
         hold = self.env.hold
         if hold.first_step is not None and not hold.first_step <= hold.last_step < self.env.episode_steps:
             raise ValueError("env.hold: expected first_step <= last_step < env.episode_steps")
-        if hold.first_step is not None and self.env.task != "grasp":
+        if hold.first_step is not None and TASKS[self.env.task].table_stays:
             raise ValueError(f"env.hold.first_step: the table stays in task {self.env.task}; expected null")
         if self.physics.concave == "mesh" and self.engine not in CONCAVE_MESHES:
             raise ValueError(f"physics.concave: {self.engine} does not support concave meshes; expected auto or parts, "

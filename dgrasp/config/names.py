@@ -15,11 +15,11 @@ index, middle, little, ring, thumb, or index, middle, ring, little, thumb. trans
 the wrist's position. quaternion: the order of `object_rotation`'s four numbers.
 """
 MANO_SOURCES = ("hamer", "wilor", "grasptta", "contactopt", "dexgraspnet", "grab")
-"""What `--from` takes: the sources of `dgrasp.labels.recorded.published`."""
+"""What `--from` takes: the sources of `dgrasp.labels.recorded.table_sources`."""
 DISPLACEMENT = 0.01
-"""m from where the object lay; in the labels that the authors published it is 9 mm (median)."""
+"""m from where the object lay; in the labels of the authors' release it is 9 mm (median)."""
 START_DISTANCE = 0.20
-"""m between wrist and object at the start; in the labels that the authors published it is 0.18 to 0.20."""
+"""m between wrist and object at the start; in the labels of the authors' release it is 0.18 to 0.20."""
 PRIMITIVES = ("box", "cylinder", "sphere", "capsule")
 """Shapes that `object add` fits."""
 OVERLAP = 0.9

@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, field_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, field_validator
+
+from dgrasp.config.tasks import TASKS
 
 Positive = Annotated[float, Field(gt=0)]
 NonNegative = Annotated[float, Field(ge=0)]
@@ -16,9 +18,9 @@ MAX_STEPS = 10_000
 Steps = Annotated[int, Field(ge=1, le=MAX_STEPS)]
 WristError = Literal["euler", "rotation_vector"]
 Inertia = Literal["true", "official", "mixed"]
-_OFFICIAL = "the authors' inertia of 1 kg m2"
+_AUTHORS = "the authors' inertia of 1 kg m2"
 INERTIA: dict[Inertia, str] = {
-    "true": "true inertia", "official": _OFFICIAL, "mixed": f"{_OFFICIAL}, true inertia for added objects",
+    "true": "true inertia", "official": _AUTHORS, "mixed": f"{_AUTHORS}, true inertia for added objects",
 }  # fmt: skip
 """The inertia of a set of objects (`PhysicsConfig.official_compat`), and its description for users."""
 
@@ -28,7 +30,7 @@ class Section(BaseModel):
 
 
 class LabelsConfig(Section):
-    """The grasp labels: a split of a named release, or a file, and which of its objects.
+    """The grasp labels: a split of a label source, or a file, and which of its objects.
 
     objects: names, numbers, or the paper's sets, "unseen_1" to "unseen_6" and "seen_1" to "seen_6" (docs/labels.md).
     per_epoch: number of labels, drawn anew, in each training epoch; null takes all. doubles_every: number of epochs
@@ -69,11 +71,11 @@ class PhysicsConfig(Section):
 
     preset: "faithful" is as close to RaiSim as the engine can be; "fast" trades some of that for speed
     (docs/physics.md). test.py takes "faithful" whatever a run trained with, unless physics.preset is given.
-    concave: how a release's concave objects collide: "mesh" as the authors' triangles (pybullet only), "parts" as
+    concave: how the release's concave objects collide: "mesh" as the authors' triangles (pybullet only), "parts" as
     convex parts cut from them; "auto" takes the better one for the object and the engine (docs/physics.md).
     official_compat: true gives every object 1 kg m^2 about every axis, and the release's and the free objects their
     centre of mass at the origin, as in the authors' runs; false gives the mass distribution that follows from shape
-    and mass; null takes the first for objects of a release, and the second for the free set and for added objects.
+    and mass; null takes the first for objects of the release, and the second for the free set and for added objects.
     """
 
     timestep: Positive = 0.00222
@@ -86,14 +88,14 @@ class PhysicsConfig(Section):
     hand_table_collision: bool = True
     self_collision: bool = False
 
-    def official_inertia(self, released: bool) -> bool:
-        """Whether an object has the authors' 1 kg m^2; `released` says whether it is an object of a release."""
+    def authors_inertia(self, released: bool) -> bool:
+        """Whether an object has the authors' 1 kg m^2; `released` says whether it is an object of their release."""
         return released if self.official_compat is None else self.official_compat
 
 
-def which_inertia(official: Iterable[bool]) -> Inertia:
-    """The inertia of a set of objects; `official` has one entry for each: whether it has the authors'."""
-    found = set(official)
+def which_inertia(authors: Iterable[bool]) -> Inertia:
+    """The inertia of a set of objects; `authors` has one entry for each: whether it has the authors'."""
+    found = set(authors)
     return "mixed" if len(found) > 1 else "official" if True in found else "true"
 
 
@@ -156,12 +158,18 @@ class HoldConfig(Section):
     drop: Positive = 0.05
 
 
+def _known_task(name: str) -> str:
+    if name not in TASKS:
+        raise ValueError(f"expected one of {', '.join(TASKS)}")
+    return name
+
+
 class EnvConfig(Section):
     """The task: episode, components that the paper ablates, reward.
 
-    task: "grasp" trains a grasping policy. The other two have a target for the object (docs/motion.md): "motion" trains
-    a policy of the wrist while a frozen policy grasps (the paper's baseline "learned policy"), and "flat" trains one
-    policy of everything (its baseline "Flat-RL").
+    task: one of `TASKS`. "grasp" trains a grasping policy. The other two have a target for the object (docs/motion.md):
+    "motion" trains a policy of the wrist while a frozen policy grasps (the paper's baseline "learned policy"), and
+    "flat" trains one policy of everything (its baseline "Flat-RL").
     lengthens_by: control steps by which a training episode lengthens after every `labels.doubles_every` epochs, if that
     is not null.
     wrist_error: how pose error and pose reward measure the wrist: "euler" takes the difference of Euler angles, as the
@@ -170,7 +178,7 @@ class EnvConfig(Section):
     episode has passed and whether the table is gone; the actor does not.
     """
 
-    task: Literal["grasp", "motion", "flat"] = "grasp"
+    task: Annotated[str, AfterValidator(_known_task)] = "grasp"
     episode_steps: Steps = 195
     lengthens_by: Annotated[int, Field(ge=0, le=MAX_STEPS)] = 0
     grasp_steps: Steps = 60

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from dgrasp.config.sections import EnvConfig
+from dgrasp.config.tasks import TASKS
 from dgrasp.hand.layout import N_WRIST, HandLayout
 from dgrasp.scene.relations import Relations, target_turn_W, wrist_angvel_W
 from dgrasp.types import Array, GraspGoal, SceneState
@@ -142,6 +143,9 @@ PSI: tuple[Feature, ...] = (
 """psi, the input of a policy that moves the object: T_h, its rates, T_o, its rates, g_o,x, g_o,q (supplement, A.2)."""
 
 FEATURE_LAYERS = {"phi": PHI, "full_state": FULL_STATE}
+"""The layers that `env.features` names."""
+LAYERS = FEATURE_LAYERS | {"psi": PSI}
+"""All layers that a task can have (`dgrasp.config.tasks`)."""
 
 CRITIC: tuple[Feature, ...] = (
     Feature("table_gone", 1, "-", "0/1", lambda s, g, r: s.table_gone[:, None]),
@@ -153,14 +157,21 @@ SCALED_RANGE = 5.0
 """Scaled features are clamped to +- this value."""
 
 
+def _of_task(config: EnvConfig) -> tuple[Feature, ...]:
+    """The features that the actor sees: those of the task's layers. Of two with one name, the first is taken."""
+    found: dict[str, Feature] = {}
+    for name in TASKS[config.task].features:
+        for feature in LAYERS[config.features if name == "env.features" else name]:
+            if config.goal_space or not feature.is_goal:
+                found.setdefault(feature.name, feature)
+    return tuple(found.values())
+
+
 class FeatureLayer:
     """Writes the features of a task as one observation (N, size) float32. The actor sees the first `actor_size`."""
 
     def __init__(self, config: EnvConfig, hand: HandLayout) -> None:
-        grasp = tuple(f for f in FEATURE_LAYERS[config.features] if config.goal_space or not f.is_goal)
-        seen = {feature.name for feature in grasp}
-        both = grasp + tuple(feature for feature in PSI if feature.name not in seen)
-        chosen = {"grasp": grasp, "motion": PSI, "flat": both}[config.task]
+        chosen = _of_task(config)
         self.features = chosen + (CRITIC if config.critic_features else ())
         self.slices: dict[str, slice] = {}
         start = 0

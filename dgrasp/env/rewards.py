@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from dgrasp.config.sections import RewardConfig
+from dgrasp.config.tasks import TASKS
 from dgrasp.hand.layout import HandLayout
 from dgrasp.scene.relations import Relations, target_turn_W
 from dgrasp.types import Array, GraspGoal, SceneState
@@ -96,7 +97,7 @@ def target_rotation_error(s: SceneState, g: GraspGoal, r: Relations, p: Paramete
     return np.sqrt(np.sum(target_turn_W(s) ** 2, axis=1))
 
 
-TERMS: dict[str, Term] = {
+GRASP_TERMS: dict[str, Term] = {
     "position": position_reward,
     "pose": pose_reward,
     "contact": contact_reward,
@@ -106,14 +107,17 @@ TERMS: dict[str, Term] = {
     "wrist_linear_velocity": wrist_linvel_penalty,
     "wrist_angular_velocity": wrist_angvel_penalty,
     "hold": hold_reward,
+}
+"""The terms of grasping, by the name of their weight in `RewardConfig`."""
+TARGET_TERMS: dict[str, Term] = {
     "target_position": target_position_error,
     "target_rotation": target_rotation_error,
 }
-"""All terms, by the name of their weight in `RewardConfig`."""
-
-
-MOTION_TERMS = ("target_position", "target_rotation")
-"""r_m: the only terms of the task "motion"; the task "flat" adds them to those of grasping."""
+"""r_m, the terms of moving the object to a target."""
+GROUPS = {"grasp": GRASP_TERMS, "target": TARGET_TERMS}
+"""The groups of terms that a task can have (`dgrasp.config.tasks`)."""
+TERMS = GRASP_TERMS | TARGET_TERMS
+"""All terms."""
 
 
 class Reward:
@@ -122,7 +126,7 @@ class Reward:
     def __init__(self, config: RewardConfig, hand: HandLayout, task: str = "grasp") -> None:
         self.config = config
         self._parameters = Parameters(config, keypoint_weights(config, hand))
-        of_task = [n for n in TERMS if task == "flat" or (n in MOTION_TERMS) == (task == "motion")]
+        of_task = [name for group in TASKS[task].rewards for name in GROUPS[group]]
         self.names = tuple(name for name in of_task if getattr(config, name) != 0.0)
         self._weights = np.array([getattr(config, name) for name in self.names])
 

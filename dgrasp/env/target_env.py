@@ -111,7 +111,3 @@ class MotionEnv(TargetEnv):
     def _write_reward(self, seen: Seen) -> None:
         super()._write_reward(seen)
         self.o.reward[~self._moving], self.o.reward_terms[~self._moving] = 0.0, 0.0
-
-
-ENVS: dict[str, type[GraspEnv]] = {"grasp": GraspEnv, "flat": FlatEnv, "motion": MotionEnv}
-"""The kind of environment, by `env.task`."""

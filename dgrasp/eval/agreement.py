@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from dgrasp.errors import DataError
-from dgrasp.labels.source import LabelSet, load_labels
+from dgrasp.labels.load import LabelSet, load_labels
 from dgrasp.types import GraspLabel
 
 FILE = "success_idxs.npy"
@@ -69,7 +69,7 @@ def find_agreement(policy: Path, chosen: LabelSet, success: Sequence[bool]) -> A
     authors' release if `success_idxs.npy` lies beside the policy. Raises `DataError` if that file is damaged.
     """
     file = policy.with_name(FILE)
-    if chosen.published_as != ("dexycb", "train") or not file.is_file():
+    if chosen.released_as != ("dexycb", "train") or not file.is_file():
         return None
     everything = load_labels(chosen.path).labels
     number = re.match(r"(\d{3})_", policy.parent.name)

@@ -12,6 +12,7 @@ from dgrasp.config.experiment import Config
 from dgrasp.methods.method import Method
 from dgrasp.pool import Pool, PoolSpec, WorkerLost, make_pool
 from dgrasp.types import Array, EpisodeRecord
+from raisim_like.registry import in_parts
 from raisim_like.rotations import transform
 
 Progress = Callable[[int, int], None]
@@ -77,9 +78,6 @@ class Recorder:
 ATTEMPTS = 3
 """Number of times that an evaluation is tried if a worker is lost."""
 
-AT_ONCE = {"pybullet": 128}
-"""Engine -> most labels that a test simulates at once; other engines take all. A PyBullet world takes 29 MB."""
-
 Cost = dict[str, float]
 """control_steps, wall_s, physics_share."""
 
@@ -89,7 +87,7 @@ def evaluate_labels(
 ) -> tuple[list[EpisodeRecord], Cost, list[str]]:
     """Run `evaluate` on all labels of `spec`; returns records, cost and the pools' events.
 
-    The window is that of the spec's config. Pools are made for at most `AT_ONCE` labels at a time, to limit memory.
+    The window is that of the spec's config. Pools are made for `parts_of` the labels at a time, to limit memory.
     The records are bitwise the same as in one pool.
     """
     config, parts, total = spec.config, parts_of(spec), evaluation_steps(spec, method)
@@ -109,10 +107,8 @@ def evaluate_labels(
 
 
 def parts_of(spec: PoolSpec) -> list[slice]:
-    """Slices of the labels, of at most `AT_ONCE` each: a part is simulated at once, the parts one after another."""
-    n = len(spec.labels)
-    parts = max(1, -(-n // AT_ONCE.get(spec.config.engine, max(1, n))))
-    return [slice(k * n // parts, (k + 1) * n // parts) for k in range(parts)]
+    """Slices of the labels: a part is simulated at once, the parts one after another (`registry.in_parts`)."""
+    return in_parts(len(spec.labels), spec.config.engine)
 
 
 def evaluation_steps(spec: PoolSpec, method: Method) -> int:

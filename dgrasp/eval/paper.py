@@ -9,7 +9,7 @@ from typing import Any
 
 import yaml
 
-from dgrasp.labels.source import RELEASED
+from dgrasp.labels.sources import SOURCES
 
 _COLUMNS = {"gt_pd": "pd", "gt_ik": "ik", "policy": "ours"}
 _MISPRINTED = {("grasptta", "gt_ik")}
@@ -29,17 +29,17 @@ def paper_tables() -> dict[str, Any]:
 def paper_column(labels_source: str, split: str, method: str) -> Column | None:
     """One method's column: object, or "average" as printed -> metric, by this project's name -> value.
 
-    labels_source: "dexycb", "grasptta" or "contactopt". split: "train" or "test". method: "gt_pd", "gt_ik" or
-    "policy". Metrics: success, sim_dist_mm_per_step (the printed mean), interpenetration_cm3, and the same number as
+    labels_source: the name of a label source. split: "train" or "test". method: "gt_pd", "gt_ik" or "policy".
+    Metrics: success, sim_dist_mm_per_step (the printed mean), interpenetration_cm3, and the same number as
     interpenetration_shell_cm3, because the paper measured the shell (docs/metrics.md). None if the paper has no such
     column or the column is misprinted.
     """
-    source = RELEASED.get(labels_source)
+    source = SOURCES.get(labels_source)
     if source is None or not source.comparable_with_paper:
         return None
     if method not in _COLUMNS or (labels_source, method) in _MISPRINTED:
         return None
-    table = paper_tables()[labels_source].get(split, {})
+    table = paper_tables().get(labels_source, {}).get(split, {})
     column = {
         name: _metrics(methods[_COLUMNS[method]]) for name, methods in table.items() if _COLUMNS[method] in methods
     }

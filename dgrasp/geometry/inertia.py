@@ -119,7 +119,7 @@ def load_mesh(path: Path, scale: tuple[float, float, float] = (1.0, 1.0, 1.0)) -
     path = Path(path)
     if not path.is_file():
         raise DataError(
-            f"{path}: this mesh does not exist; expected the folder of a release with objects/<name>/{path.name} "
+            f"{path}: this mesh does not exist; expected the authors' release with objects/<name>/{path.name} "
             "(or use the free objects)"
         )
     try:
@@ -149,7 +149,7 @@ def check_size(path: Path, extents: Array, expected: Sequence[float]) -> None:
     ratio = float(np.max(extents)) / max(expected)
     if not 0.1 <= ratio <= 10.0:
         raise DataError(f"{path}: its longest side is {np.max(extents):.3g} m, the object's {max(expected):.3g} m; "
-                        "expected metres. Convert the mesh, or name a release's folder that has it in metres")
+                        "expected metres. Convert the mesh, or name a folder that has it in metres")
 
 
 def mesh_properties(

@@ -23,7 +23,7 @@ LABEL_TYPES = ("cylinder", "box", "mesh", "hull")
 class CatalogueObject:
     """One object.
 
-    id: its DexYCB id. mass_ycb, mass_official: kg, as YCB publishes it and as the authors simulate it.
+    id: its DexYCB id. mass_ycb, mass_authors: kg, as YCB publishes it and as the authors simulate it.
     extents: (x, y, z) m of the bounding box, in the axes of the free set's object frame.
     collision: the authors' collision shape in the object frame O; a file is relative to the object's folder.
     thin: made of walls and bars so thin that it keeps its triangles where the engine takes them (docs/physics.md,
@@ -33,14 +33,14 @@ class CatalogueObject:
     id: int
     name: str
     mass_ycb: float
-    mass_official: float
+    mass_authors: float
     extents: tuple[float, float, float]
     collision: Shape
     thin: bool = False
 
     def mass(self, masses: MassSet) -> float:
         """Mass in kg: "official" as the authors simulate it, "ycb" as published."""
-        return self.mass_official if masses == "official" else self.mass_ycb
+        return self.mass_authors if masses == "official" else self.mass_ycb
 
 
 def _cylinder(radius: float, height: float) -> Shape:

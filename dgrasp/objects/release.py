@@ -1,4 +1,4 @@
-"""The objects of a release laid out like the authors': a folder `objects/<name>/` of meshes per object."""
+"""The objects of the authors' release: a folder `objects/<name>/` of meshes per object."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def release_object(
         file = Path(objects_dir) / entry.name / shape.file
         if not file.is_file():
             raise DataError(
-                f"{file}: the collision mesh of {entry.name} is missing; expected a release's objects folder with "
+                f"{file}: the collision mesh of {entry.name} is missing; expected the release's objects folder with "
                 f"{entry.name}/{file.name}. Point --data at a folder that has it, or use --data free"
             )
         check_size(file, np.ptp(load_mesh(file).vertices, axis=0), entry.extents)

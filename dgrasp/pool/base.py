@@ -10,8 +10,8 @@ from dgrasp.config.experiment import Config
 from dgrasp.control.motion import Fingers
 from dgrasp.env.features import FeatureLayer
 from dgrasp.env.grasp_env import GraspEnv, Mode
+from dgrasp.env.registry import ENVS
 from dgrasp.env.rewards import Reward
-from dgrasp.env.target_env import ENVS
 from dgrasp.errors import DGraspError
 from dgrasp.hand.model import HandModel
 from dgrasp.objects.model import ObjectModel

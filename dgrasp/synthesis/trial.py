@@ -13,9 +13,10 @@ from dgrasp.eval.metrics import has_fallen
 from dgrasp.hand.model import HandModel
 from dgrasp.objects.model import ObjectModel
 from dgrasp.types import Array, GraspLabel
+from raisim_like.registry import in_parts
 
 AT_ONCE = 576
-"""Largest number of worlds in one process. PyBullet allows at most 1024."""
+"""Largest number of worlds at once on any engine, to limit memory."""
 
 
 def gt_pd_holds(
@@ -26,11 +27,11 @@ def gt_pd_holds(
 
     report: called with the share that is done.
     """
-    parts = [labels[i : i + AT_ONCE] for i in range(0, len(labels), AT_ONCE)]
+    parts = in_parts(len(labels), config.engine, AT_ONCE)
     steps = len(parts) * config.window_steps
     made = itertools.count(1)
     return np.concatenate([
-        _some_hold(part, hand, model, config, lambda: report(next(made) / steps)) for part in parts
+        _some_hold(labels[part], hand, model, config, lambda: report(next(made) / steps)) for part in parts
     ])  # fmt: skip
 
 

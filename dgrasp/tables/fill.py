@@ -21,7 +21,7 @@ from dgrasp.evaluation import evaluate_choice, evaluate_motion
 from dgrasp.files.atomic import write_atomic
 from dgrasp.files.paths import cfg_root
 from dgrasp.files.typed import typed
-from dgrasp.labels.source import sha256_of
+from dgrasp.labels.load import sha256_of
 from dgrasp.methods import PolicyMethod
 from dgrasp.request import Asked, Request, make_request
 from dgrasp.tables.plan import Line, Plan, Trial

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from dgrasp.config.names import TABLES
-from dgrasp.eval.paper import MOTION_OBJECTS, paper_tables
+from dgrasp.eval.paper import MOTION_OBJECTS, paper_column, paper_tables
+from dgrasp.labels.sources import SOURCES
 from dgrasp.labels.splits import UNSEEN
 from dgrasp.methods import FlatRl, LearnedMotion
 from dgrasp.objects.names import YCB_NAMES
@@ -121,15 +122,14 @@ def _numbers(entry: Mapping[str, Any]) -> dict[str, float]:
 
 def _grasp() -> Plan:
     lines = []
-    methods_of = {"dexycb": ("pd", "ik", "ours"), "grasptta": ("pd", "ours"), "contactopt": ("pd", "ours")}
-    for source, methods in methods_of.items():
-        for split, table in paper_tables()[source].items():
+    methods = {"gt_pd": ("GT+PD", "pd", None), "gt_ik": ("GT+IK", "ik", None), "policy": ("Ours", "ours", ALL_OBJECTS)}
+    for source in SOURCES:
+        for split, table in paper_tables().get(source, {}).items():
             labels = (f"labels.source={source}", f"labels.split={split}")
-            made = {"pd": ("GT+PD", Trial("gt_pd", None, labels)), "ik": ("GT+IK", Trial("gt_ik", None, labels)),
-                    "ours": ("Ours", Trial("policy", ALL_OBJECTS, labels))}  # fmt: skip
-            for method in methods:
-                name, trial = made[method]
-                lines.append(Line(f"{source} {split}", name, (trial,), _numbers(table["average"][method])))
+            for method, (name, column, run) in methods.items():
+                if paper_column(source, split, method) is not None:
+                    trial = Trial(method, run, labels)
+                    lines.append(Line(f"{source} {split}", name, (trial,), _numbers(table["average"][column])))
     return Plan("grasp", "Grasps: stability and interpenetration", GRASP_METRICS, tuple(lines))
 
 

@@ -230,8 +230,8 @@ def needed(chosen: Sequence[Plan]) -> list[Trained]:
 
 def _with_inertia(config: Config, data: dict[str, Any]) -> dict[str, Any]:
     """The flat keys of a config, with `official_compat` as it applies to the data in place of null."""
-    official = config.physics.official_inertia(data.get("kind") == "release")
-    return flat_keys(config.model_dump(mode="json")) | {"physics.official_compat": official}
+    authors = config.physics.authors_inertia(data.get("kind") == "release")
+    return flat_keys(config.model_dump(mode="json")) | {"physics.official_compat": authors}
 
 
 def _motion_policy(file: Path) -> str:

@@ -13,7 +13,7 @@ import pytest
 from dgrasp.cli import COMMANDS
 from dgrasp.config import names
 from dgrasp.files.paths import shipped_root
-from dgrasp.labels.recorded.published import PUBLISHED
+from dgrasp.labels.recorded.table_sources import TABLE_SOURCES
 from dgrasp.methods import METHODS
 from dgrasp.tables.plan import _PLANS
 
@@ -137,4 +137,4 @@ def test_a_refusal_loads_nothing_heavy(i: int, refusals: list[Answer]) -> None:
 
 def test_the_names_that_help_shows_are_those_of_the_code() -> None:
     assert set(names.BASELINES) == METHODS.keys() - {"policy"} and list(names.BASELINES) == sorted(names.BASELINES)
-    assert tuple(_PLANS) == names.TABLES and tuple(PUBLISHED) == names.MANO_SOURCES
+    assert tuple(_PLANS) == names.TABLES and tuple(TABLE_SOURCES) == names.MANO_SOURCES

@@ -11,7 +11,7 @@ import pytest
 from dgrasp.errors import DataError
 from dgrasp.eval import agreement
 from dgrasp.hand.mano.layout import MANO_NAMES
-from dgrasp.labels.source import LabelSet
+from dgrasp.labels.load import LabelSet
 from tests.scenes import make_spec
 
 
@@ -60,7 +60,7 @@ def test_the_policy_of_one_object_counts_its_labels(whole: LabelSet, tmp_path: P
 
 def test_nothing_is_known_of_other_labels_or_other_policies(whole: LabelSet, tmp_path: Path) -> None:
     policy = _policy(tmp_path / "all", [0])
-    assert agreement.find_agreement(policy, replace(whole, published_as=("dexycb", "test")), [True] * 6) is None
+    assert agreement.find_agreement(policy, replace(whole, released_as=("dexycb", "test")), [True] * 6) is None
     assert agreement.find_agreement(tmp_path / "full.pt", whole, [True] * 6) is None
 
 

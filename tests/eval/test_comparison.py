@@ -12,7 +12,7 @@ from dgrasp.config.experiment import make_config
 from dgrasp.data import DataChoice
 from dgrasp.eval.comparison import data_stamp, differences
 from dgrasp.hand.store import HandSource
-from dgrasp.labels.source import LabelSet
+from dgrasp.labels.load import LabelSet
 from dgrasp.methods import PdBaseline, PolicyMethod, StaticGrasp
 from tests.methods.test_trained import policy
 from tests.scenes import LAYOUT

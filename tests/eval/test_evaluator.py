@@ -13,6 +13,7 @@ from dgrasp.methods import PdBaseline
 from dgrasp.pool import make_pool
 from dgrasp.pool.serial import SerialPool
 from dgrasp.types import Array
+from raisim_like import registry
 from raisim_like.engines import default_engine
 from tests.scenes import make_spec
 
@@ -88,7 +89,7 @@ def test_a_test_of_many_labels_goes_through_them_in_parts_with_the_same_records(
     spec = make_spec(5, ["env.grasp_steps=3", "eval.window_s=0.1", "pool.kind=serial"])
     whole, cost, _ = evaluate_labels(spec, Still())
     made, said = [], []
-    monkeypatch.setattr(evaluator, "AT_ONCE", {default_engine(): 2})
+    monkeypatch.setattr(registry, "AT_ONCE", {default_engine(): 2})
     monkeypatch.setattr(evaluator, "make_pool", lambda part: made.append(len(part.labels)) or make_pool(part))
     records, cost_of_parts, _ = evaluate_labels(spec, Still(), progress=lambda *now: said.append(now))
     assert made == [1, 2, 2] and said == [(step, 18) for step in range(1, 19)]

@@ -12,7 +12,7 @@ from dgrasp.hand.builder.limits import LABEL_SLACK, label_limits, mirror_limits,
 from dgrasp.hand.free.anatomy import hand_parts
 from dgrasp.hand.mano.skeleton import DOF_NAMES
 from dgrasp.hand.store import open_hand
-from dgrasp.labels.source import load_labels
+from dgrasp.labels.load import load_labels
 from dgrasp.types import Array
 from tests.reference import reference_or_skip
 from tests.scenes import free_hand, make_label

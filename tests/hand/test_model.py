@@ -142,10 +142,10 @@ def test_a_missing_file_is_a_data_error(tmp_path: Path) -> None:
         ("contact_opt_train.pkl", "final_wpos", 180),
     ],
 )
-def test_key_points_of_the_published_labels(file: str, key: str, count: int) -> None:
+def test_key_points_of_the_release_s_labels(file: str, key: str, count: int) -> None:
     reference = reference_or_skip()
     if not (reference / "labels" / file).is_file():
-        pytest.skip(f"this release has no {file}")
+        pytest.skip(f"the release has no {file}")
     hand = load_hand(reference / "hand" / "mano_mean.urdf", "mano_mean", weight_carried=False, mano=True)
     content = read_joblib_arrays(reference / "labels" / file)
     qpos = np.concatenate([arrays["final_qpos"] for arrays in content.values()]).astype(float)

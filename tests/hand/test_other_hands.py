@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from dgrasp.env.target_env import ENVS
+from dgrasp.env.registry import ENVS
 from dgrasp.errors import DataError
 from dgrasp.hand.inverse import fit_keypoints
 from dgrasp.hand.kinematics import Kinematics

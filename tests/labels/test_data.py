@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 import re
 import shutil
+from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -15,9 +17,11 @@ from dgrasp.config.experiment import Config, make_config
 from dgrasp.config.sections import INERTIA, which_inertia
 from dgrasp.data import resolve
 from dgrasp.errors import DataError
+from dgrasp.eval.paper import paper_column
 from dgrasp.files import paths
 from dgrasp.hand.mano.layout import MANO_NAMES
 from dgrasp.labels.formats.native import write_native
+from dgrasp.labels.sources import SOURCES, DataKind, LabelSource
 from tests.labels.files import dexycb_content, dump, make_labels, static_content
 from tests.reference import reference_or_skip
 
@@ -126,7 +130,7 @@ def test_inertia_follows_the_data(tmp_path: Path) -> None:
             assert choice.inertia == choice.stamp()["inertia"] == expected
             assert INERTIA[choice.inertia] in choice.describe()
     physics = config().physics
-    assert physics.official_inertia(released=True) and not physics.official_inertia(released=False)
+    assert physics.authors_inertia(released=True) and not physics.authors_inertia(released=False)
     assert which_inertia([True, True]) == "official" and which_inertia([False]) == "true"
     assert which_inertia([True, False]) == "mixed"
 
@@ -151,6 +155,39 @@ def test_sources_and_files(tmp_path: Path, home: Path) -> None:
     assert "a file's labels (mine.pkl)" in choice.describe()
     free = home / "free" / "labels" / "free_train.npz"
     assert resolve(config(data="free", labels={"source": str(free)})).source == "file"
+    assert resolve(config(data="free", labels={"source": "free"})).stamp() == resolve(config(data="free")).stamp()
+
+
+@dataclass(frozen=True)
+class Made:
+    """A label source as a contributor may write one: it only has to have what `LabelSource` asks for."""
+
+    name: str = "made_up"
+    data: DataKind = "release"
+    licence: str = "my terms"
+    comparable_with_paper: bool = False
+
+    @property
+    def files(self) -> Mapping[str, str]:
+        return {split: f"made_up_{split}.pkl" for split in ("train", "test")}
+
+
+def test_a_label_source_is_an_entry_in_the_registry(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    root = release(tmp_path / "r")
+    dump(root / "labels" / "made_up_test.pkl", dexycb_content(objects=(14,), n=2))
+    made: LabelSource = Made()
+    monkeypatch.setitem(SOURCES, made.name, made)
+    choice = resolve(config(data=str(root), labels={"source": "made_up", "split": "test"}))
+    assert (choice.source, choice.split, choice.licence) == ("made_up", "test", "my terms")
+    assert choice.labels.objects == ["025_mug"] and len(choice.labels.labels) == 2
+    assert choice.differences == ("the labels (made_up_test.pkl) are not the paper's",)
+    for source, message in (("made_up", "no train split of made_up labels here; expected .*, made_up test$"),
+                            ("made_up2", "'made_up2' is neither .*, made_up nor .*; did you mean 'made_up'")):
+        with pytest.raises(DataError, match=message):
+            resolve(config(data=str(root), labels={"source": source}))
+    monkeypatch.setitem(SOURCES, made.name, Made(comparable_with_paper=True))
+    assert resolve(config(data=str(root), labels={"source": "made_up", "split": "test"})).comparable_with_paper
+    assert paper_column("made_up", "test", "gt_pd") is None
 
 
 @pytest.mark.parametrize(
@@ -168,8 +205,11 @@ def test_sources_and_files(tmp_path: Path, home: Path) -> None:
         ({"data": "{tmp}/r", "labels": {"source": "x/y.npz"}}, "'x/y.npz' is neither dexycb, grasptta, contactopt nor"),
         ({"data": "{tmp}/r", "labels": {"source": ""}}, "is neither"),
         ({"data": "{tmp}/r", "labels": {"objects": ["025_mug"]}}, "no label of '025_mug'"),
-        ({"data": "free", "labels": {"source": "grasptta"}}, "the free set has no labels of grasptta"),
-        ({"data": "free", "labels": {"split": "test"}}, "that are there: dexycb train"),
+        ({"data": "free", "labels": {"source": "grasptta"}}, "free set has no labels of grasptta; expected free, or"),
+        ({"data": "free", "labels": {"split": "test"}},
+         "no test split of free labels here; expected one of the splits that are there: free train"),
+        ({"data": "{tmp}/r", "labels": {"source": "free"}},
+         "{tmp}/r has no labels of free; expected dexycb, grasptta, contactopt, or --data free"),
         ({"data": "free", "labels": {"source": "{tmp}/r/labels/dexycb_train_labels.pkl"}},
          "labels made for the hand 'mano_mean', but the hand of"),
         ({"data": "{tmp}/r", "labels": {"source": "{tmp}/project/data/free/labels/free_train.npz"}},

@@ -23,7 +23,7 @@ from dgrasp.files import sparse
 from dgrasp.files.joblib import read_joblib_arrays
 from dgrasp.hand.mano.layout import MANO_NAMES
 from dgrasp.labels.formats.native import read_native, write_native
-from dgrasp.labels.formats.official import read_official
+from dgrasp.labels.formats.release import read_release
 from dgrasp.types import GraspLabel
 from tests.labels.files import (
     dexycb_content,
@@ -92,14 +92,14 @@ def outcome(read: Callable[[Path], list[GraspLabel]], path: Path) -> bool:
 
 @pytest.mark.parametrize("layout", [dexycb_content, static_content])
 @pytest.mark.parametrize("aligned", [False, True])
-def test_mutated_official_files(tmp_path: Path, layout: Callable[[], dict[int, Any]], aligned: bool) -> None:
+def test_mutated_files_of_the_release(tmp_path: Path, layout: Callable[[], dict[int, Any]], aligned: bool) -> None:
     path = dump(tmp_path / "a.pkl", layout(), aligned)
     raw, rng = path.read_bytes(), np.random.default_rng(11)
-    assert not outcome(read_official, path)
+    assert not outcome(read_release, path)
     refused = 0
     for _ in range(N):
         rewrite(path, mutate(raw, rng))
-        refused += outcome(read_official, path)
+        refused += outcome(read_release, path)
     assert refused > N // 2
 
 
@@ -136,11 +136,11 @@ def test_mutated_plain_pickles(tmp_path: Path, protocol: int) -> None:
     path = tmp_path / "a.pkl"
     raw, rng = pickle.dumps(dexycb_content(objects=(3,)), protocol), np.random.default_rng(14)
     path.write_bytes(raw)
-    assert not outcome(read_official, path)
+    assert not outcome(read_release, path)
     refused = 0
     for _ in range(N):
         rewrite(path, mutate(raw, rng))
-        refused += outcome(read_official, path)
+        refused += outcome(read_release, path)
     assert refused > N // 2
 
 
@@ -149,11 +149,11 @@ def test_mutated_compressed_pickles(tmp_path: Path, form: Callable[[bytes], byte
     path = tmp_path / "a.pkl"
     raw, rng = form(pickle.dumps(dexycb_content(objects=(3,)), 4)), np.random.default_rng(15)
     path.write_bytes(raw)
-    assert not outcome(read_official, path)
+    assert not outcome(read_release, path)
     refused = 0
     for _ in range(N):
         rewrite(path, mutate(raw, rng))
-        refused += outcome(read_official, path)
+        refused += outcome(read_release, path)
     assert refused > 0.9 * N
 
 
@@ -177,4 +177,4 @@ def test_every_truncation_point_is_refused(tmp_path: Path) -> None:
     raw = path.read_bytes()
     for end in range(0, len(raw), 23):
         path.write_bytes(raw[:end])
-        assert outcome(read_official, path)
+        assert outcome(read_release, path)

@@ -17,8 +17,8 @@ import pytest
 
 from dgrasp.errors import DataError
 from dgrasp.files.joblib import read_joblib_arrays
-from dgrasp.labels.formats.official import read_official
-from dgrasp.labels.source import load_labels
+from dgrasp.labels.formats.release import read_release
+from dgrasp.labels.load import load_labels
 from tests.labels.files import (
     WRAPPER,
     array_opcodes,
@@ -138,7 +138,7 @@ def test_nothing_is_executed(tmp_path: Path, in_extension_registry: None, monkey
     path = tmp_path / "a.pkl"
     for name, raw in streams:
         rewrite(path, raw)
-        for read in (read_official, load_labels):
+        for read in (read_release, load_labels):
             with pytest.raises(DataError, match=r"a\.pkl"):
                 read(path)
         assert not marker.exists(), name
@@ -179,7 +179,7 @@ def _doubled(times: int) -> bytes:
 def test_streams_made_to_hang_crash_or_fill_the_memory(tmp_path: Path, body: bytes) -> None:
     path = tmp_path / "a.pkl"
     path.write_bytes(b"\x80\x03" + body)
-    assert outcome(read_official, path)
+    assert outcome(read_release, path)
 
 
 def test_framed_pickles_are_read(tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""The published label files themselves, where they are at hand: counts, order, frames, table height."""
+"""The label files of the release themselves, where they are at hand: counts, order, frames, table height."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ import pytest
 from dgrasp.errors import DataError
 from dgrasp.hand.mano.layout import MANO_NAMES
 from dgrasp.labels.formats.native import read_native, write_native
-from dgrasp.labels.formats.official import read_official
-from dgrasp.labels.source import load_labels
+from dgrasp.labels.formats.release import read_release
+from dgrasp.labels.load import load_labels
 from dgrasp.objects.names import YCB_NAMES
 from dgrasp.types import GraspLabel
 from tests.reference import reference_or_skip
@@ -24,7 +24,7 @@ FILES = {
 
 
 def _read(name: str) -> list[GraspLabel]:
-    return read_official(reference_or_skip() / "labels" / name)
+    return read_release(reference_or_skip() / "labels" / name)
 
 
 @pytest.mark.parametrize("name", FILES)
@@ -80,7 +80,7 @@ def test_native_round_trip_of_the_release(tmp_path) -> None:  # type: ignore[no-
 
 def test_what_is_comparable_with_the_paper() -> None:
     root = reference_or_skip() / "labels"
-    assert load_labels(root / "contact_opt_train.pkl").published_as == ("contactopt", "train")
+    assert load_labels(root / "contact_opt_train.pkl").released_as == ("contactopt", "train")
     assert load_labels(root / "dexycb_train_labels.pkl").comparable_with_paper
     assert not load_labels(root / "dexycb_grasptta_train_corrected.pkl").comparable_with_paper
 

@@ -9,7 +9,7 @@ import pytest
 
 from dgrasp.errors import DataError
 from dgrasp.hand.mano.layout import MANO_NAMES
-from dgrasp.labels.source import LabelSet, select
+from dgrasp.labels.load import LabelSet, select
 from dgrasp.labels.splits import UNSEEN, object_set
 from dgrasp.objects.names import YCB_NAMES
 from tests.labels.files import make_labels

@@ -1,4 +1,4 @@
-"""The catalogue's facts, and the objects of a release: made here in a folder, and the authors' where they are."""
+"""The catalogue's facts, and the objects of the release: made here in a folder, and the authors' own where they are."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def test_catalogue_has_the_twenty_objects() -> None:
 
 
 def test_masses_differ_for_five_objects() -> None:
-    differing = [entry.name[:3] for entry in CATALOGUE if entry.mass_ycb != entry.mass_official]
+    differing = [entry.name[:3] for entry in CATALOGUE if entry.mass_ycb != entry.mass_authors]
     assert differing == ["003", "006", "021", "040", "052"]
     bleach = catalogue_object("021_bleach_cleanser")
     assert (bleach.mass("ycb"), bleach.mass("official")) == (1.131, 0.302)
@@ -91,7 +91,7 @@ def test_missing_mesh_is_named(tmp_path: Path, name: str, file: str, compat: boo
 @pytest.mark.parametrize("entry", CATALOGUE, ids=lambda entry: entry.name)
 def test_authors_objects(entry: CatalogueObject) -> None:
     model = release_object(reference_or_skip() / "objects", entry.name, "official", official_compat=False)
-    assert model.name == entry.name and model.mass == entry.mass_official
+    assert model.name == entry.name and model.mass == entry.mass_authors
     assert model.inertia == pytest.approx(model.inertia.T)
     low, middle, high = np.linalg.eigvalsh(model.inertia)
     assert low > 0 and high <= low + middle
@@ -105,7 +105,7 @@ def test_label_files_agree_with_the_catalogue() -> None:
     assert sorted(labels) == [entry.id for entry in CATALOGUE]
     for entry in CATALOGUE:
         record = labels[entry.id]
-        assert np.all(record["obj_w_stacked"] == entry.mass_official)
+        assert np.all(record["obj_w_stacked"] == entry.mass_authors)
         assert np.all(record["obj_type_stacked"] == LABEL_TYPES.index(entry.collision.kind))
         if entry.collision.size:
             n = len(entry.collision.size)

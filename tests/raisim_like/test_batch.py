@@ -13,7 +13,7 @@ import pytest
 from raisim_like import ArticulatedSystem, EngineError, RigidBody, Shape, UrdfModel, World, read_urdf
 from raisim_like.batch import Array, BatchState, BodySpec, SystemSpec, WorldBatch, WorldSpec
 from raisim_like.material import MaterialTable
-from raisim_like.registry import BATCHES, find_engine, make_batch
+from raisim_like.registry import AT_ONCE, BATCHES, find_engine, in_parts, make_batch
 from raisim_like.world import BODY, STATIC, SYSTEM, collision_mask
 from tests.raisim_like.urdfs import write_chain
 
@@ -256,6 +256,15 @@ def test_the_time_inside_the_engine_is_counted_by_row(engine: str, arms: tuple[U
     batch.advance([1], targets((1, 2)), SUBSTEPS)
     assert batch.seconds[0] == 0.0 < batch.seconds[1]
     batch.close()
+
+
+def test_worlds_are_divided_into_parts_that_an_engine_takes_at_once() -> None:
+    assert AT_ONCE["pybullet"] == 128 and "mujoco" not in AT_ONCE
+    # 300 worlds in parts of at most 128 are 3 parts of 100; 257 are 3 of 85, 86 and 86.
+    assert in_parts(300, "pybullet") == [slice(0, 100), slice(100, 200), slice(200, 300)]
+    assert in_parts(257, "pybullet", 576) == [slice(0, 85), slice(85, 171), slice(171, 257)]
+    assert in_parts(128, "pybullet") == [slice(0, 128)] and in_parts(3000, "mujoco") == [slice(0, 3000)]
+    assert in_parts(3, "mujoco", 2) == [slice(0, 1), slice(1, 3)] and in_parts(0, "mujoco") == [slice(0, 0)]
 
 
 def test_an_unknown_engine_is_refused_with_the_valid_names() -> None:

@@ -28,8 +28,8 @@ def add_common(parser: argparse.ArgumentParser, objects: str) -> None:
                         help="MANO_RIGHT.pkl, with which the source's hands were fitted; or a hand in MANO's layout "
                              "as .npz")
     parser.add_argument("--hand", required=True, metavar="HAND",
-                        help="the hand for which labels are made: a folder written by `dgrasp hand build`, or a "
-                             "release's hand/mano_mean.urdf")
+                        help="the hand for which labels are made: a folder written by `dgrasp hand build`, or "
+                             "hand/mano_mean.urdf of the authors' release")
     parser.add_argument("--out", type=Path, required=True, metavar="FILE.npz", help="the label file to write")
     parser.add_argument("--objects", type=Path, metavar="DIR",
                         help=f"folder of NAME/textured_simple.obj or NAME/textured_meshlab.obj ({objects})")
@@ -75,7 +75,7 @@ def finish(
 
     from dgrasp.hand.mano.layout import MANO_NAMES
     from dgrasp.labels.formats.native import write_native
-    from dgrasp.labels.source import sha256_of
+    from dgrasp.labels.load import sha256_of
 
     reasons = {place[:200]: reason for place, (reason, _) in list(skipped.items())[:MAX_REASONS]}
     write_native(arguments.out, labels, {

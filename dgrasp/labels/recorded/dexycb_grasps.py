@@ -17,13 +17,13 @@ import numpy as np
 from dgrasp.config.names import DISPLACEMENT, START_DISTANCE
 from dgrasp.errors import DataError
 from dgrasp.hand.mano.model import ManoModel
+from dgrasp.labels.load import sha256_of
 from dgrasp.labels.recorded.cache import LabelCache
 from dgrasp.labels.recorded.dexycb import Calibration, Sequence, Track, find_sequences, read_sequence, read_track
 from dgrasp.labels.recorded.making import LabelMaker, numbered
 from dgrasp.labels.recorded.mirror import mirror_label
 from dgrasp.labels.recorded.skips import Skip
 from dgrasp.labels.recorded.surfaces import MIRROR_TOLERANCE
-from dgrasp.labels.source import sha256_of
 from dgrasp.objects.names import YCB_NAMES
 from dgrasp.types import Array, GraspLabel, StartPose
 

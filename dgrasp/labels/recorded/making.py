@@ -47,7 +47,7 @@ class LabelMaker:
 def target_hand(name: str, model: ManoModel) -> HandModel:
     """The physics hand for which labels are made. It must have the model's side and joints, else `DataError`.
 
-    name: a folder written by `dgrasp hand build`, or the URDF of a release's hand (mean shape, right).
+    name: a folder written by `dgrasp hand build`, or the URDF of the authors' hand (mean shape, right).
     """
     named = open_hand(name)
     side: Side = named.meta.get("side", "right")
@@ -59,7 +59,7 @@ def target_hand(name: str, model: ManoModel) -> HandModel:
     off = float(np.linalg.norm(offsets - named.model.offsets[1:], axis=1).max())
     if off > SAME_JOINTS:
         raise DataError(f"--hand {name}: its joints lie up to {1000 * off:.1f} mm from those of the MANO file; "
-                        "expected a hand that was made from it (`dgrasp hand build`, or a release's mano_mean.urdf)")
+                        "expected a hand that was made from it (`dgrasp hand build`, or the authors' mano_mean.urdf)")
     return named.model
 
 

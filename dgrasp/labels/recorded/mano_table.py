@@ -19,7 +19,7 @@ from dgrasp.errors import DataError
 from dgrasp.files import csv_text
 from dgrasp.files.arrays import plain_text
 from dgrasp.files.npz import open_npz
-from dgrasp.labels.recorded.published import Published, rotation_vectors
+from dgrasp.labels.recorded.table_sources import TableSource, rotation_vectors
 from dgrasp.objects.names import resolve_object
 from dgrasp.types import Array
 
@@ -70,11 +70,11 @@ class ManoTable:
 
 def read_mano_table(
     path: Path, object_name: str | None = None, known: Callable[[str], str] = resolve_object,
-    published: Published | None = None, rows_of_6d: bool = False, scale: float | None = None,
+    source: TableSource | None = None, rows_of_6d: bool = False, scale: float | None = None,
 ) -> ManoTable:
     """The table of a .npz or .csv file. object_name: of all rows where the file has no `object`.
 
-    known: the full name of an object, or a `DataError`. published: the source that wrote the file, which may have a
+    known: the full name of an object, or a `DataError`. source: the source that wrote the file, which may have a
     form of its own. rows_of_6d: 6D rotations are rows, not columns, of a matrix. scale: take the rows of this scale.
     Raises `DataError` naming the file and the quantity or line for anything that does not fit.
     """
@@ -84,15 +84,15 @@ def read_mano_table(
             head = stream.read(6)
     except OSError as error:
         raise DataError(f"{path}: cannot be read ({error.strerror or error})") from None
-    columns = None if published is None else published.read(path)
+    columns = None if source is None else source.read(path)
     if columns is None and head == b"\x93NUMPY":
         raise DataError(f"{path}: a .npy file, whose array has no name; {_FORM} in a .npz (numpy.savez), or the option "
                         "--from that reads the file (DexGraspNet's: --from dexgraspnet)")
     if columns is None:
-        columns = _read_npz(path, published) if head.startswith(b"PK") else _read_csv(path)
-    if published is not None:
+        columns = _read_npz(path, source) if head.startswith(b"PK") else _read_csv(path)
+    if source is not None:
         try:
-            columns = published.adapt(columns)
+            columns = source.adapt(columns)
         except DataError as error:
             raise DataError(f"{path}: {error}") from None
     scales = np.asarray(columns.pop("scale", np.zeros(0)))
@@ -194,25 +194,25 @@ def _checked(path: Path, name: str, array: Any, rows_of_6d: bool) -> Array:
     return flat
 
 
-def _read_npz(path: Path, published: Published | None) -> dict[str, Any]:
-    """Quantity to array, and `object` to a list of names. A published file may hold more, which is not read."""
+def _read_npz(path: Path, source: TableSource | None) -> dict[str, Any]:
+    """Quantity to array, and `object` to a list of names. The file of a source may hold more, which is not read."""
     values: dict[str, Any] = {}
     with open_npz(path, "table", MAX_BYTES) as archive:
         own = [*WIDTHS, "object"]
-        order = own if published is None else [*own, *published.names]
+        order = own if source is None else [*own, *source.names]
         # A quantity under its own name goes before others of it, and these in the order of the source.
         for file in sorted(archive.names, key=lambda file: (*order, file).index(file.removesuffix(".npy"))
                            if file.removesuffix(".npy") in order else len(order)):
             inside = file.removesuffix(".npy")
-            name = inside if published is None else published.names.get(inside, inside)
-            if published is not None and name in ("right", "is_right", "scale"):
+            name = inside if source is None else source.names.get(inside, inside)
+            if source is not None and name in ("right", "is_right", "scale"):
                 values[name] = archive.read(inside, "biuf")
                 continue
-            if published is not None and inside == published.inner:
+            if source is not None and inside == source.inner:
                 found = archive.read(inside, "O").item()
                 values = {key: found[key] for key in WIDTHS if isinstance(found, dict) and key in found} | values
                 continue
-            if published is not None and (name in values or name not in (*WIDTHS, "object")):
+            if source is not None and (name in values or name not in (*WIDTHS, "object")):
                 continue
             if archive.names.count(file) > 1 or (name not in WIDTHS and name != "object") or inside == file:
                 raise DataError(f"{path}: unknown or duplicate member {file[:60]!r}; {_FORM}")

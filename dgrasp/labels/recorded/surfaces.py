@@ -13,15 +13,15 @@ from dgrasp.errors import DataError
 from dgrasp.geometry.inertia import load_mesh
 from dgrasp.hand.mano.skeleton import N_PARTS
 from dgrasp.hand.spheres import CONTACT_DISTANCE
-from dgrasp.labels.source import sha256_of
+from dgrasp.labels.load import sha256_of
 from dgrasp.objects.body import DETAILED_MESH
 from dgrasp.objects.names import YCB_NAMES, resolve_object
 from dgrasp.objects.store import MESH_FILE, NAME
 from dgrasp.types import Array
 
 MESHES = ("textured_simple.obj", DETAILED_MESH, MESH_FILE, "coacd/decomposed.obj")
-"""An object's mesh in DexYCB's `models/NAME/`, a release's `objects/NAME/`, the folder of an object that `dgrasp object
-add` wrote, and DexGraspNet's `meshdata/NAME/`, in the order of preference."""
+"""An object's mesh in DexYCB's `models/NAME/`, the release's `objects/NAME/`, the folder of an object that `dgrasp
+object add` wrote, and DexGraspNet's `meshdata/NAME/`, in the order of preference."""
 NORMALISED = 0.5
 """m. A mesh that is longer, where a data set gives its scale, is of unit size and is multiplied by the scale."""
 SPACING = 0.005

@@ -17,6 +17,7 @@ import numpy as np
 from rich.console import Console
 
 from dgrasp.config.experiment import Config, dump_config
+from dgrasp.config.tasks import TASKS
 from dgrasp.errors import DataError
 from dgrasp.files.atomic import write_atomic
 from dgrasp.rl.collect import Incident
@@ -29,9 +30,6 @@ RETURN, TERMINATED, TRUNCATED = "train/return", "train/terminated", "train/trunc
 HELD = "train/held"
 """Share of an epoch's training episodes that still held the object at their end; only with a hold (`env.hold`)."""
 SUCCESS, CONTACT_RATIO = "eval/success", "eval/contact_ratio"
-MPE, GEODESIC, CARRIED = "eval/mpe_m", "eval/geodesic_rad", "eval/carried"
-EVALUATED = {"grasp": (SUCCESS, CONTACT_RATIO), "motion": (MPE, GEODESIC, CARRIED), "flat": (MPE, GEODESIC, CARRIED)}
-"""Tags that summarise an evaluation, by `env.task`."""
 STEPS_PER_SECOND, PHYSICS_SHARE, UPDATE_SHARE = "speed/steps_per_second", "speed/physics_share", "speed/update_share"
 LOST_WORKERS = "speed/lost_workers"
 WORKERS = "speed/workers"
@@ -63,7 +61,7 @@ class Log:
     ) -> None:
         self._run_dir, self._csv = run_dir, run_dir / CSV_NAME
         self._steps_after, self._epochs, self._seed = steps_after, last_epoch, config.seed
-        self._evaluated = EVALUATED[config.env.task]
+        self._evaluated = tuple(f"eval/{name}" for name in TASKS[config.env.task].evaluated)
         hold = [HELD] if config.env.hold.first_step is not None else []
         tags = [RETURN, TERMINATED, TRUNCATED, *hold, *(f"reward/{term}" for term in reward_terms)]
         tags += [*(f"ppo/{name}" for name in STATISTICS), STEPS_PER_SECOND, PHYSICS_SHARE, UPDATE_SHARE, LOST_WORKERS]

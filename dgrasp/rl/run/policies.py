@@ -41,7 +41,7 @@ class SavedPolicy:
 
 
 def read_policy(path: Path) -> SavedPolicy:
-    """Read this project's checkpoint or published weights, or the authors' checkpoint; `DataError` for other files."""
+    """Read this project's checkpoint or weights file, or the authors' checkpoint; `DataError` for other files."""
     if path.suffix == WEIGHTS_SUFFIX:
         policy, about = read_weights(path)
         data = about.get("data")

@@ -17,7 +17,7 @@ _SEAL = b"dgrasp sha256 "
 _SEAL_SIZE = len(_SEAL) + 64
 
 FORMAT, SCHEMA = "dgrasp-policy", "1"
-"""What the metadata of published weights names."""
+"""What the metadata of a weights file names."""
 MAX_WEIGHTS_BYTES = 64 * 2**20
 
 
@@ -66,7 +66,7 @@ def damaged(path: Path, what: str, error: Exception) -> DataError:
 
 
 def read_description(path: Path) -> Any:
-    """What published weights say about themselves. Raises `DataError` for a file that is missing, too large, or other.
+    """What a weights file says about itself. Raises `DataError` for a file that is missing, too large, or other.
 
     The arrays are not read.
     """
@@ -97,7 +97,8 @@ def damaged_weights(path: Path, error: Exception) -> DataError:
 def check_policy_file(path: Path) -> None:
     """Raise `DataError` for the file of a policy that is missing or damaged."""
     if not path.is_file():
-        raise DataError(f"{path}: no such file; expected a checkpoint (.pt) or published weights ({WEIGHTS_SUFFIX})")
+        raise DataError(f"{path}: no such file; expected a checkpoint (.pt) or a file of `dgrasp publish` "
+                        f"({WEIGHTS_SUFFIX})")
     if path.suffix == WEIGHTS_SUFFIX:
         read_description(path)
     else:

@@ -12,7 +12,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from dgrasp.errors import DataError
-from dgrasp.labels.formats.official import read_official
+from dgrasp.labels.formats.release import read_release
 from tests.labels.files import dexycb_content, dump, static_content
 
 BLEACH = "021_bleach_cleanser"
@@ -21,7 +21,7 @@ BLEACH = "021_bleach_cleanser"
 @pytest.mark.parametrize("aligned", [False, True], ids=["old joblib", "new joblib"])
 def test_dexycb_layout(tmp_path: Path, aligned: bool) -> None:
     content = dexycb_content(objects=(12, 3), n=3)
-    labels = read_official(dump(tmp_path / "a.pkl", content, aligned))
+    labels = read_release(dump(tmp_path / "a.pkl", content, aligned))
     # The file's order of objects, not that of their ids.
     assert [(label.object_id, label.index) for label in labels] == [
         (name, i) for name in (BLEACH, "004_sugar_box") for i in range(3)
@@ -42,7 +42,7 @@ def test_dexycb_layout(tmp_path: Path, aligned: bool) -> None:
 @pytest.mark.parametrize("protocol", range(6))
 def test_files_that_pickle_alone_wrote(tmp_path: Path, protocol: int) -> None:
     content = static_content(objects=(2,), n=2)
-    expected = read_official(dump(tmp_path / "a.pkl", content))
+    expected = read_release(dump(tmp_path / "a.pkl", content))
     other = {key: np.asfortranarray(array.astype(">f8")) if isinstance(array, np.ndarray) else array
              for key, array in content[2].items()}
     forms: list[dict[Any, Any]] = [
@@ -51,7 +51,7 @@ def test_files_that_pickle_alone_wrote(tmp_path: Path, protocol: int) -> None:
     ]  # fmt: skip
     for form in forms:
         (tmp_path / "b.pkl").write_bytes(pickle.dumps(form, protocol))
-        for found, one in zip(read_official(tmp_path / "b.pkl"), expected, strict=True):
+        for found, one in zip(read_release(tmp_path / "b.pkl"), expected, strict=True):
             assert found.object_id == one.object_id
             np.testing.assert_array_equal(found.T_WH, one.T_WH)
             np.testing.assert_array_equal(found.joints_W, one.joints_W)
@@ -62,7 +62,7 @@ def test_rotations_by_hand(tmp_path: Path) -> None:
     arrays = content[1]
     arrays["qpos_reset"][0, 3:6] = [np.pi / 2, np.pi / 2, 0.0]
     arrays["obj_pose_reset"][0, 3:] = [np.sqrt(0.5), 0.0, 0.0, np.sqrt(0.5)]
-    start = read_official(dump(tmp_path / "a.pkl", content))[0].start
+    start = read_release(dump(tmp_path / "a.pkl", content))[0].start
     assert start is not None
     # Intrinsic XYZ: Rx(90) Ry(90). Columns: Rx Ry ex = Rx(-ez) = ey; Rx ey = ez; Rx Ry ez = Rx ex = ex.
     np.testing.assert_allclose(start.T_WH[:3, :3], [[0, 0, 1], [1, 0, 0], [0, 1, 0]], atol=1e-15)
@@ -73,7 +73,7 @@ def test_rotations_by_hand(tmp_path: Path) -> None:
 
 def test_static_layout(tmp_path: Path) -> None:
     content = static_content(objects=(2,), n=2)
-    labels = read_official(dump(tmp_path / "a.pkl", content))
+    labels = read_release(dump(tmp_path / "a.pkl", content))
     assert [label.start for label in labels] == [None, None]
     assert not any(label.on_table for label in labels)
     np.testing.assert_array_equal(labels[1].joints_W.ravel(), content[2]["final_wpos"][1])
@@ -82,7 +82,7 @@ def test_static_layout(tmp_path: Path) -> None:
 def test_nearly_unit_quaternion_is_normalised(tmp_path: Path) -> None:
     content = static_content(objects=(2,), n=1)
     content[2]["final_obj"][0, 3:] *= 1.0009
-    rotation = read_official(dump(tmp_path / "a.pkl", content))[0].T_WO[:3, :3]
+    rotation = read_release(dump(tmp_path / "a.pkl", content))[0].T_WO[:3, :3]
     np.testing.assert_allclose(rotation @ rotation.T, np.eye(3), atol=1e-14)
 
 
@@ -90,7 +90,7 @@ def test_float32_and_bool_arrays_are_taken(tmp_path: Path) -> None:
     content = static_content(objects=(2,), n=1)
     content[2]["final_qpos"] = content[2]["final_qpos"].astype(np.float32)
     content[2]["final_contacts"] = content[2]["final_contacts"].astype(bool)
-    label = read_official(dump(tmp_path / "a.pkl", content))[0]
+    label = read_release(dump(tmp_path / "a.pkl", content))[0]
     assert label.hand_pose.dtype == np.float64
 
 
@@ -149,14 +149,14 @@ def test_bad_labels_are_named(tmp_path: Path, change: Callable[[dict[int, Any]],
     change(content)
     path = dump(tmp_path / "bad.pkl", content)
     with pytest.raises(DataError, match=re.escape(f"{path}: {where}: ") + ".*" + re.escape(what)):
-        read_official(path)
+        read_release(path)
 
 
 def test_several_bad_labels_give_one_error_with_their_number(tmp_path: Path) -> None:
     content = dexycb_content(n=3)
     content[12]["final_ee"][:] = np.nan
     with pytest.raises(DataError, match=r"\[0\].*3 labels have this problem"):
-        read_official(dump(tmp_path / "a.pkl", content))
+        read_release(dump(tmp_path / "a.pkl", content))
 
 
 @pytest.mark.parametrize("key", [19, 0, 22, -1, "004_sugar_box"])
@@ -164,13 +164,13 @@ def test_unknown_object_id(tmp_path: Path, key: int | str) -> None:
     content: dict[Any, Any] = dexycb_content(objects=(12,))
     content[key] = content.pop(12)
     with pytest.raises(DataError, match=f"unknown object id {key!r}"):
-        read_official(dump(tmp_path / "a.pkl", content))
+        read_release(dump(tmp_path / "a.pkl", content))
 
 
 @pytest.mark.parametrize("content", [{}, [], [1, 2], "text", 5, {12: []}, {12: {}}, {"target_pos": np.zeros((3, 3))}])
 def test_not_a_label_file(tmp_path: Path, content: Any) -> None:
     with pytest.raises(DataError, match="expected"):
-        read_official(dump(tmp_path / "a.pkl", content))
+        read_release(dump(tmp_path / "a.pkl", content))
 
 
 @pytest.mark.parametrize("convention", ["xyz", "ZYX"])
@@ -180,10 +180,10 @@ def test_wrist_angles_of_another_convention_are_found(tmp_path: Path, convention
     qpos[:, 3:6] = Rotation.from_euler("XYZ", qpos[:, 3:6]).as_euler(convention)
     content[3]["final_pose"] = qpos[:, 3:].copy()
     with pytest.raises(DataError, match="knuckles"):
-        read_official(dump(tmp_path / "a.pkl", content))
+        read_release(dump(tmp_path / "a.pkl", content))
 
 
 def test_missing_file_and_folder(tmp_path: Path) -> None:
     for path in (tmp_path / "none.pkl", tmp_path):
         with pytest.raises(DataError, match="cannot be read"):
-            read_official(path)
+            read_release(path)

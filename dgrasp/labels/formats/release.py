@@ -1,4 +1,4 @@
-"""The grasp labels that the paper's authors published, as `GraspLabel`s.
+"""The grasp labels of the authors' release, as `GraspLabel`s.
 
 A file is a joblib pickle: a dictionary from DexYCB object id to arrays with one row per grasp. Two layouts:
 
@@ -21,12 +21,10 @@ import numpy as np
 
 from dgrasp.errors import DataError
 from dgrasp.files.joblib import read_joblib_arrays
+from dgrasp.hand.store import AUTHORS_HAND
 from dgrasp.labels.formats import checks
 from dgrasp.objects.names import YCB_NAMES
 from dgrasp.types import Array, GraspLabel, StartPose
-
-HAND = "mano_mean"
-"""The hand of the authors' labels."""
 
 _DEXYCB = {
     "final_qpos": 51, "final_ee": 63, "final_obj_pos": 7, "final_contacts": 16, "qpos_reset": 51, "obj_pose_reset": 7,
@@ -36,8 +34,8 @@ _KNUCKLES = [1, 5, 9, 13, 17]
 _PALM_TOLERANCE = 0.005
 
 
-def read_official(path: Path) -> list[GraspLabel]:
-    """Read the labels of one published file, in the file's order; `index` counts within the object.
+def read_release(path: Path) -> list[GraspLabel]:
+    """Read the labels of one file of the release, in the file's order; `index` counts within the object.
 
     Raises `DataError` naming file, object and index for a damaged file or a label that cannot be used:
     missing keys, wrong shapes, NaN, quaternions off unit length by more than 1e-3, wrong units, contacts
@@ -47,7 +45,7 @@ def read_official(path: Path) -> list[GraspLabel]:
     content = read_joblib_arrays(path)
     if not isinstance(content, dict) or not content:
         raise DataError(f"{path}: holds a {type(content).__name__}; expected a dictionary from DexYCB object id to "
-                        "arrays; give one of the release's label files")
+                        "arrays; give a label file of the authors' release")
     labels: list[GraspLabel] = []
     for key, arrays in content.items():
         labels += _object_labels(path, _object_name(path, key), key, arrays)
@@ -58,7 +56,7 @@ def read_official(path: Path) -> list[GraspLabel]:
 def _object_name(path: Path, key: Any) -> str:
     if isinstance(key, bool) or not isinstance(key, int) or key not in YCB_NAMES:
         raise DataError(f"{path}: unknown object id {_shown(key)}; expected DexYCB ids "
-                        f"({', '.join(str(k) for k in YCB_NAMES)}); give one of the release's label files")
+                        f"({', '.join(str(k) for k in YCB_NAMES)}); give a label file of the authors' release")
     return YCB_NAMES[key]
 
 
@@ -99,7 +97,8 @@ def _object_labels(path: Path, name: str, key: int, arrays: Any) -> list[GraspLa
     return [
         GraspLabel(
             object_id=name, hand_pose=fingers[i], T_WH=T_WH[i], T_WO=T_WO[i], joints_W=joints[i],
-            goal_contacts=contacts[i], start=starts[i], hand=HAND, source=path.name, index=i, on_table=with_start,
+            goal_contacts=contacts[i], start=starts[i], hand=AUTHORS_HAND, source=path.name, index=i,
+            on_table=with_start,
         )
         for i in range(n)
     ]
@@ -115,7 +114,7 @@ def _fields(place: str, arrays: Any) -> dict[str, int]:
     if missing:
         there = ", ".join(_shown(key) for key in list(arrays)[:20]) or "nothing"
         raise DataError(f"{place}: lacks {', '.join(missing)}; it has {there}; expected {', '.join(fields)}; "
-                        "give one of the release's label files")
+                        "give a label file of the authors' release")
     return fields
 
 

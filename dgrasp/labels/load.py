@@ -15,41 +15,13 @@ from dgrasp.errors import DataError
 from dgrasp.files import licences, pickles
 from dgrasp.hand.layout import HandNames
 from dgrasp.hand.mano.layout import MANO_NAMES
-from dgrasp.labels.formats import official
+from dgrasp.hand.store import AUTHORS_HAND
+from dgrasp.labels.formats import release
 from dgrasp.labels.formats.native import names_of, read_native_with_meta
+from dgrasp.labels.sources import SOURCES, sources_in
 from dgrasp.labels.splits import object_set
 from dgrasp.objects.names import resolve_object
 from dgrasp.types import GraspLabel
-
-
-@dataclass(frozen=True)
-class LabelSource:
-    """Labels that `labels.source` names: their files and their licence.
-
-    files: split ("train", "test") -> name of its file in labels/ of the data's folder. comparable_with_paper: whether
-    the paper's tables report on these labels.
-    """
-
-    name: str
-    files: Mapping[str, str]
-    licence: str
-    comparable_with_paper: bool
-
-
-_RELEASED = (
-    LabelSource("dexycb", {"train": "dexycb_train_labels.pkl", "test": "dexycb_test_labels.pkl"},
-                licences.DEXYCB, comparable_with_paper=True),
-    LabelSource("grasptta", {"train": "dexycb_grasptta_train.pkl", "test": "dexycb_grasptta_test.pkl"},
-                licences.MANO, comparable_with_paper=True),
-    LabelSource("contactopt", {"train": "contact_opt_train.pkl", "test": "contact_opt_test.pkl"},
-                licences.MANO, comparable_with_paper=True),
-)  # fmt: skip
-RELEASED = {source.name: source for source in _RELEASED}
-"""The sources in a folder laid out like the authors' release, by the name that a config gives them."""
-
-FREE = LabelSource("free", {"train": "free_train.npz", "test": "free_test.npz"}, licences.PROJECT,
-                   comparable_with_paper=False)  # fmt: skip
-"""The free set's own labels."""
 
 
 class FileContent(NamedTuple):
@@ -76,7 +48,7 @@ class LabelFormat:
 
 
 def _read_pickle(path: Path) -> FileContent:
-    return FileContent(official.read_official(path), official.HAND, MANO_NAMES, None)
+    return FileContent(release.read_release(path), AUTHORS_HAND, MANO_NAMES, None)
 
 
 def _read_npz(path: Path) -> FileContent:
@@ -85,7 +57,7 @@ def _read_npz(path: Path) -> FileContent:
 
 
 FORMATS = (
-    LabelFormat(pickles.HEADS, "a joblib pickle", "a release's .pkl", _read_pickle),
+    LabelFormat(pickles.HEADS, "a joblib pickle", "a .pkl of the authors' release", _read_pickle),
     LabelFormat(b"PK", "a .npz file", "a .npz written by `dgrasp labels`", _read_npz),
 )
 """The formats that are read. A file's content, not its name, determines its format."""
@@ -96,7 +68,7 @@ class LabelSet:
     """The labels of one file.
 
     labels: in the file's order. hand: id of the hand that they were made for. names: the joints, parts and key points
-    in the order of the arrays. licence: the file's terms. path: the file. sha256: of its bytes. published_as:
+    in the order of the arrays. licence: the file's terms. path: the file. sha256: of its bytes. released_as:
     (source, split) for a file of the authors' release, else None. comparable_with_paper: whether the paper's tables
     report on these labels.
     """
@@ -107,7 +79,7 @@ class LabelSet:
     licence: str
     path: Path
     sha256: str
-    published_as: tuple[str, str] | None
+    released_as: tuple[str, str] | None
     comparable_with_paper: bool
 
     @property
@@ -143,18 +115,18 @@ def load_labels(path: Path) -> LabelSet:
         raise DataError(f"{path}: neither {formats} (it begins with {head[:4]!r}); expected {expected}")
     labels, hand, names, licence = form.read(path)
     # The files of the release do not state their source; their names tell it.
-    known = published_as(path.name) if licence is None else None
-    source = RELEASED[known[0]] if known else None
+    known = released_as(path.name) if licence is None else None
+    source = SOURCES[known[0]] if known else None
     if licence is None:
         licence = source.licence if source else licences.MANO
     comparable = source is not None and source.comparable_with_paper
     return LabelSet(labels, hand, names, licence, path, sha256_of(path), known, comparable)
 
 
-def published_as(name: str) -> tuple[str, str] | None:
+def released_as(name: str) -> tuple[str, str] | None:
     """(source, split) of a file of the authors' release, by the file's name; None for other names."""
-    files = {file: (source.name, split) for source in RELEASED.values() for split, file in source.files.items()}
-    return files.get(name)
+    released = sources_in("release").values()
+    return {file: (source.name, split) for source in released for split, file in source.files.items()}.get(name)
 
 
 def select(

@@ -1,4 +1,4 @@
-"""Files as data sets and estimators publish them: `--from` gives the conventions of each."""
+"""Files as data sets and estimators write them: `--from` gives the conventions of each."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from dgrasp.hand.free.skin import free_skin, skin_path
 from dgrasp.hand.mano.params import wrist_joints
 from dgrasp.labels.formats.native import read_native
 from dgrasp.labels.recorded.mano_table import ManoTable, read_mano_table
-from dgrasp.labels.recorded.published import PUBLISHED, rotation_vectors
+from dgrasp.labels.recorded.table_sources import TABLE_SOURCES, rotation_vectors
 from dgrasp.types import Array
 
 N = 3
@@ -37,7 +37,8 @@ def matrices(vectors: Array) -> Array:
 
 def read(path: Path, source: str | None, **arrays: Any) -> ManoTable:
     np.savez(path, **arrays)
-    return read_mano_table(path, None if "object" in arrays else "004", published=PUBLISHED[source] if source else None)
+    wrote = TABLE_SOURCES[source] if source else None
+    return read_mano_table(path, None if "object" in arrays else "004", source=wrote)
 
 
 def test_rotation_matrices_and_6d(tmp_path: Path) -> None:
@@ -109,13 +110,13 @@ def test_graspttas_json(tmp_path: Path) -> None:
     params, T = np.arange(61.0)[None] / 100, np.concatenate([np.eye(3), [[0.1], [0.2], [0.3]]], axis=1)
     path = tmp_path / "obj_id_6.json"
     path.write_text(json.dumps({"recon_params": [params.tolist()] * 2, "R_list": [T.tolist()] * 2}))
-    table = read_mano_table(path, published=PUBLISHED["grasptta"])
+    table = read_mano_table(path, source=TABLE_SOURCES["grasptta"])
     assert table.objects == ["006_mustard_bottle"] * 2
     np.testing.assert_array_equal(table.values["transl"][0], [0.58, 0.59, 0.60])
     np.testing.assert_array_equal(table.values["object_translation"][1], [0.1, 0.2, 0.3])
     path.write_text("{}")
     with pytest.raises(DataError, match="not GraspTTA's JSON"):
-        read_mano_table(path, published=PUBLISHED["grasptta"])
+        read_mano_table(path, source=TABLE_SOURCES["grasptta"])
 
 
 def test_contactopts_names(tmp_path: Path) -> None:
@@ -186,11 +187,11 @@ def test_other_npy_files(tmp_path: Path, change: dict[str, Any], message: str) -
     grasps[0] |= change
     np.save(tmp_path / "a.npy", grasps, allow_pickle=True)
     with pytest.raises(DataError) as caught:
-        read_mano_table(tmp_path / "a.npy", "004", published=PUBLISHED["dexgraspnet"])
+        read_mano_table(tmp_path / "a.npy", "004", source=TABLE_SOURCES["dexgraspnet"])
     assert message in str(caught.value) and "a.npy" in str(caught.value)
     np.save(tmp_path / "b.npy", np.zeros((2, 3)))
     with pytest.raises(DataError, match="expected DexGraspNet's array of dictionaries"):
-        read_mano_table(tmp_path / "b.npy", "004", published=PUBLISHED["dexgraspnet"])
+        read_mano_table(tmp_path / "b.npy", "004", source=TABLE_SOURCES["dexgraspnet"])
     with pytest.raises(DataError, match=r"b\.npy: a \.npy file.*--from dexgraspnet"):
         read_mano_table(tmp_path / "b.npy", "004")
 

@@ -1,6 +1,6 @@
-"""What data sets and estimators publish: their files, the names in them, and what their numbers mean.
+"""The tables of data sets and estimators: their files, the names in them, and what their numbers mean.
 
-Each convention was read in the code that its authors publish (docs/labels.md names the files). `labels import mano
+Each convention was read in the source's own code (docs/labels.md names the files). `labels import mano
 --from NAME` takes the answers from here; an option that is given as well goes before them.
 """
 
@@ -29,7 +29,7 @@ MAX_SEQUENCE_BYTES = 2**30
 
 
 @dataclass(frozen=True)
-class Published:
+class TableSource:
     """One source. answers: to the questions of `conventions.CHOICES`.
 
     names: name in its files -> name of the quantity in `mano_table.WIDTHS`. inner: name of a dictionary of quantities
@@ -155,23 +155,23 @@ def _grasp(path: Path, row: int, grasp: Any) -> list[float]:
     return [float(number) for number in numbers]
 
 
-_ESTIMATOR = Published(
+_ESTIMATOR = TableSource(
     {"pose": "axis-angle", "mean": "flat", "fingers": "mano", "transl": "mano"},
     {"pred_cam_t_full": "transl", "pred_cam_t": "transl", "cam_t_full": "transl", "cam_t": "transl",
      "pred_betas": "betas"},
     inner="pred_mano_params", adapt=_right_hands,
 )  # fmt: skip
-PUBLISHED: dict[str, Published] = {
+TABLE_SOURCES: dict[str, TableSource] = {
     "hamer": _ESTIMATOR,
     "wilor": _ESTIMATOR,
-    "grasptta": Published({"pose": "axis-angle", "mean": "flat", "fingers": "mano", "transl": "mano"},
+    "grasptta": TableSource({"pose": "axis-angle", "mean": "flat", "fingers": "mano", "transl": "mano"},
                           {"recon_params": "params"}, read=_grasptta_json),
-    "contactopt": Published({"pose": "pca", "mean": "mano", "fingers": "mano", "transl": "mano"},
+    "contactopt": TableSource({"pose": "pca", "mean": "mano", "fingers": "mano", "transl": "mano"},
                             {"hand_beta": "betas", "hand_mTc": "hand_transform"}, adapt=_with_transform),
-    "dexgraspnet": Published({"pose": "axis-angle", "mean": "flat", "fingers": "mano", "transl": "mano"},
+    "dexgraspnet": TableSource({"pose": "axis-angle", "mean": "flat", "fingers": "mano", "transl": "mano"},
                              {"thetas": "hand_pose", "rot": "global_orient", "trans": "transl"},
                              read=_dexgraspnet_npy),
-    "grab": Published({"mean": "flat", "fingers": "mano", "transl": "mano"}, read=_grab_sequence,
+    "grab": TableSource({"mean": "flat", "fingers": "mano", "transl": "mano"}, read=_grab_sequence,
                       adapt=_turned_objects),
 }  # fmt: skip
 """By the name that `--from` takes."""

@@ -7,31 +7,32 @@ import pytest
 
 from dgrasp.errors import DataError
 from dgrasp.hand.mano.layout import MANO_NAMES
-from dgrasp.labels import source
+from dgrasp.labels import load
 from dgrasp.labels.formats.native import write_native
-from dgrasp.labels.source import FileContent, LabelFormat, LabelSet, LabelSource, load_labels, select
+from dgrasp.labels.load import FileContent, LabelFormat, LabelSet, load_labels, select
+from dgrasp.labels.sources import SOURCES, LabelFiles
 from tests.labels.files import dexycb_content, dump, make_labels, static_content
 
 
 def test_reader_is_chosen_by_content_not_by_name(tmp_path: Path) -> None:
     write_native(tmp_path / "a.pkl", make_labels(), "p", "CC0-1.0", MANO_NAMES)
     labels = load_labels(tmp_path / "a.pkl")
-    assert (labels.hand, labels.licence, labels.published_as) == ("free", "CC0-1.0", None)
+    assert (labels.hand, labels.licence, labels.released_as) == ("free", "CC0-1.0", None)
     assert not labels.comparable_with_paper
     assert labels.sha256 == hashlib.sha256((tmp_path / "a.pkl").read_bytes()).hexdigest()
-    official = load_labels(dump(tmp_path / "b.npz", dexycb_content()))
-    assert official.hand == "mano_mean"
-    assert not official.comparable_with_paper
+    released = load_labels(dump(tmp_path / "b.npz", dexycb_content()))
+    assert released.hand == "mano_mean"
+    assert not released.comparable_with_paper
 
 
 @pytest.mark.parametrize(
     ("name", "key"),
     [("dexycb_test_labels.pkl", ("dexycb", "test")), ("contact_opt_train.pkl", ("contactopt", "train"))],
 )
-def test_published_files_are_known_by_name(tmp_path: Path, name: str, key: tuple[str, str]) -> None:
+def test_files_of_the_release_are_known_by_name(tmp_path: Path, name: str, key: tuple[str, str]) -> None:
     content = static_content() if key[0] == "contactopt" else dexycb_content()
     labels = load_labels(dump(tmp_path / name, content))
-    assert labels.published_as == key
+    assert labels.released_as == key
     assert labels.comparable_with_paper
     assert "MANO" in labels.licence
     assert ("DexYCB" in labels.licence) == (key[0] == "dexycb")
@@ -45,21 +46,21 @@ def test_other_files_are_refused(tmp_path: Path, raw: bytes) -> None:
 
 
 def test_a_new_format_and_a_new_source_are_an_entry_each(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    mine = LabelSource("mine", {"train": "mine_train.txt"}, "my terms", False)
-    monkeypatch.setitem(source.RELEASED, "mine", mine)
+    mine = LabelFiles("mine", "release", {"train": "mine_train.txt"}, "my terms", comparable_with_paper=False)
+    monkeypatch.setitem(SOURCES, "mine", mine)
     read = LabelFormat(b"mine", "a text file", "a .txt of mine",
                        lambda path: FileContent(make_labels(), "free", MANO_NAMES, None))
-    monkeypatch.setattr(source, "FORMATS", (*source.FORMATS, read))
+    monkeypatch.setattr(load, "FORMATS", (*load.FORMATS, read))
     (tmp_path / "mine_train.txt").write_bytes(b"mine: 1")
     labels = load_labels(tmp_path / "mine_train.txt")
-    assert (labels.hand, labels.licence, labels.published_as) == ("free", "my terms", ("mine", "train"))
+    assert (labels.hand, labels.licence, labels.released_as) == ("free", "my terms", ("mine", "train"))
     assert not labels.comparable_with_paper and len(labels.labels) == len(make_labels())
     (tmp_path / "a.pkl").write_bytes(b"other")
     with pytest.raises(DataError) as caught:
         load_labels(tmp_path / "a.pkl")
     assert str(caught.value).endswith(
         "a.pkl: neither a joblib pickle nor a .npz file nor a text file (it begins with b'othe'); expected a "
-        "release's .pkl or a .npz written by `dgrasp labels` or a .txt of mine"
+        ".pkl of the authors' release or a .npz written by `dgrasp labels` or a .txt of mine"
     )
 
 
