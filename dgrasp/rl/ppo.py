@@ -70,7 +70,7 @@ class Ppo:
 
     def __init__(self, model: ActorCritic, config: PpoConfig) -> None:
         self.model, self.config = model, config
-        self.optimizer = Adam(model.parameters(), lr=config.learning_rate)
+        self.optimizer = Adam(model.parameters(), lr=config.learning_rate, fused=True)
 
     @property
     def learning_rate(self) -> float:
