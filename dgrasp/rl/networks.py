@@ -18,7 +18,7 @@ _LOG_2PI = math.log(2.0 * math.pi)
 
 
 class Evaluated(NamedTuple):
-    """The model's present outputs for B old actions: log_prob, value (B,), mean (B, A), std (A,), entropy ()."""
+    """The model's present outputs for old actions: log_prob, value (...,), mean (..., A), std (A,), entropy ()."""
 
     log_prob: Tensor
     value: Tensor
@@ -102,7 +102,7 @@ class ActorCritic(nn.Module):
         return Actor(_layers(self.actor), _copy(self.std), seed)
 
     def evaluate(self, observation: Tensor, action: Tensor) -> Evaluated:
-        """Evaluate actions (B, A) taken at observations (B, O), with gradients."""
+        """Evaluate actions (..., A) taken at observations (..., O), with gradients."""
         mean = self.actor(observation[..., : self.actor_size])
         entropy = self.std.log().sum() + 0.5 * self.action_size * (1.0 + _LOG_2PI)
         log_prob = gaussian_log_prob(action, mean, self.std)

@@ -70,7 +70,9 @@ class Ppo:
 
     def __init__(self, model: ActorCritic, config: PpoConfig) -> None:
         self.model, self.config = model, config
-        self.optimizer = Adam(model.parameters(), lr=config.learning_rate, fused=True)
+        # One kernel updates all parameters, where the device has it.
+        fused = model.std.device.type in ("cpu", "cuda")
+        self.optimizer = Adam(model.parameters(), lr=config.learning_rate, fused=fused)
 
     @property
     def learning_rate(self) -> float:

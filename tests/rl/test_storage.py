@@ -16,7 +16,7 @@ class _Model:
     """A model whose value of an observation is the observation itself, and which ignores actions."""
 
     def evaluate(self, observation: torch.Tensor, action: torch.Tensor) -> Evaluated:
-        return Evaluated(torch.zeros(len(action)), self.value(observation), action, action[0], torch.zeros(()))
+        return Evaluated(torch.zeros(action.shape[:-1]), self.value(observation), action, action[0], torch.zeros(()))
 
     def value(self, observation: torch.Tensor) -> torch.Tensor:
         return observation[..., 0]

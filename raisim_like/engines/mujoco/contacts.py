@@ -19,7 +19,7 @@ def pair_forces(built: BuiltModel, body: int, other: int) -> tuple[Array, Array]
     rows, geoms = contact.efc_address, contact.geom
     pairs = built.owner[geoms] @ PAIR
     first = pairs == body + PAIR[1] * other
-    found = np.flatnonzero((first | (pairs == other + PAIR[1] * body)) & (rows >= 0))
+    found = ((first | (pairs == other + PAIR[1] * body)) & (rows >= 0)).nonzero()[0]
     mine = geoms[found, (~first[found]).astype(int)]
     return built.link[mine], built.data.efc_force[rows[found]]
 
