@@ -114,6 +114,13 @@ def test_numbers_are_read_as_in_yaml_1_2() -> None:
         parse_yaml("a: 1\nb: 017", "a.yaml")
 
 
+def test_values_belong_to_the_caller() -> None:
+    """The same text is parsed once."""
+    first = parse_yaml("a: {b: [1]}", "x")
+    first["a"]["b"].append(2)
+    assert parse_yaml("a: {b: [1]}", "x") == {"a": {"b": [1]}}
+
+
 @pytest.mark.parametrize("name", ["010", "008", "1:30", "0x1F"])
 def test_texts_that_look_like_numbers_are_dumped_as_texts(tmp_path: Path, name: str) -> None:
     config = make_config({"labels": {"objects": [name]}})

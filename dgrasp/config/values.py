@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import copy
 import json
 import re
 from collections.abc import Mapping
+from functools import lru_cache
 from typing import Any
 
 import yaml
@@ -51,10 +53,16 @@ _ConfigLoader.add_constructor("tag:yaml.org,2002:int", _number)
 _ConfigLoader.add_constructor("tag:yaml.org,2002:float", _number)
 
 
+@lru_cache(maxsize=128)
+def _parsed(text: str) -> Any:
+    """A config takes 10 ms to read, and the table of an experiment reads the same ones hundreds of times."""
+    return yaml.load(text, Loader=_ConfigLoader)
+
+
 def parse_yaml(text: str, where: str) -> Any:
     """The values of a YAML text; `where` names its source in errors."""
     try:
-        return yaml.load(text, Loader=_ConfigLoader)
+        return copy.deepcopy(_parsed(text))
     except ConfigError as error:
         raise ConfigError(f"{where}: {error}") from None
     except (yaml.YAMLError, RecursionError, ValueError) as error:

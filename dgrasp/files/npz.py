@@ -43,7 +43,7 @@ class NpzArchive:
         content = io.BytesIO(raw)
         if np.lib.format.read_magic(content) != (1, 0):
             raise DataError(f"{self._path}: {name} is of another .npy version; expected 1.0, as numpy writes it")
-        shape, _, dtype = np.lib.format.read_array_header_1_0(content)
+        shape, fortran, dtype = np.lib.format.read_array_header_1_0(content)
         left = len(raw) - content.tell()
         if dtype.kind == "O" and "O" in kinds:
             try:
@@ -57,9 +57,8 @@ class NpzArchive:
             wanted = _KINDS.get(kinds, f"numbers of kind {kinds!r}")
             raise DataError(f"{self._path}: {name} announces {str(shape)[:100]} of {dtype.str[:100]}, with {left} "
                             f"bytes; expected {wanted} of exactly that size")
-        content.seek(0)
-        array: Array = np.load(content, allow_pickle=False)
-        return array
+        view: Array = np.ndarray(shape, dtype, raw, content.tell(), order="F" if fortran else "C")
+        return view.copy(order="A")
 
 
 @contextmanager

@@ -138,10 +138,10 @@ def _draw_solid(solid: Shaded, camera: Camera, colors: Array, nearness: Array) -
     front = inverse >= nearness[sample]
     face, sample, weights = face[front], sample[front], weights[front]
     # On the picture, what is linear is a value over its depth, not the value; a part is too small to show the error.
-    normal = (weights[:, :, None] * solid.normals[face]).sum(axis=1)
-    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-9)
+    normal = sum(weights[:, i, None] * solid.normals[:, i][face] for i in range(3))
+    normal /= np.maximum(np.sqrt((normal * normal).sum(axis=1, keepdims=True)), 1e-9)
     away = camera.R[2]
-    normal = np.where((normal @ away > 0.25)[:, None], -normal, normal)
+    normal[normal @ away > 0.25] *= -1.0
     lit = np.maximum(normal @ LIGHT, 0.0)
     sheen = np.maximum(normal @ _halfway(away), 0.0) ** 40
     light = 0.5 + 0.13 * normal[:, 2] + 0.45 * lit
@@ -161,23 +161,40 @@ def _covered(corners: Array, near: Array, camera: Camera) -> tuple[Array, Array,
     size = np.array([camera.width, camera.height])
     low = np.clip(np.ceil(corners.min(axis=1) - 0.5), 0, size).astype(np.int64)
     high = np.clip(np.floor(corners.max(axis=1) - 0.5) + 1.0, 0, size).astype(np.int64)
-    counts = np.maximum(high - low, 0)
-    counts[(near > 1.0 / NEAR).any(axis=1)] = 0
-    n = counts.prod(axis=1)
-    face = np.repeat(np.arange(len(corners)), n)
-    k = np.arange(len(face)) - np.repeat(np.cumsum(n) - n, n)
-    columns = counts[face, 0]
-    x, y = low[face, 0] + k % np.maximum(columns, 1), low[face, 1] + k // np.maximum(columns, 1)
-    a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
-    area = _cross(b - a, c - a)
-    turn = np.where(area == 0.0, 0.0, 1.0 / np.where(area == 0.0, 1.0, area))
-    place = np.stack([x + 0.5, y + 0.5], axis=1)
-    v = _cross(place - a[face], (c - a)[face]) * turn[face]
-    w = _cross((b - a)[face], place - a[face]) * turn[face]
-    inside = (v >= 0.0) & (w >= 0.0) & (v + w <= 1.0) & (turn[face] != 0.0)
-    v, w = v[inside], w[inside]
-    return face[inside], (y * camera.width + x)[inside], np.stack([1.0 - v - w, v, w], axis=1)
+    (ax, ay), (bx, by), (cx, cy) = corners[:, 0].T, (corners[:, 1] - corners[:, 0]).T, (corners[:, 2] - corners[:, 0]).T
+    area = bx * cy - by * cx
+    rows = np.maximum(high[:, 1] - low[:, 1], 0)
+    rows[(near > 1.0 / NEAR).any(axis=1) | (area == 0.0)] = 0
+    face, y = _ranges(low[:, 1], rows)
+    left, right = _spans(corners[face], y + 0.5)
+    first = np.clip(left, low[face, 0], high[face, 0]).astype(np.int64)
+    row, x = _ranges(first, np.clip(right, first, high[face, 0]).astype(np.int64) - first)
+    # What depends on the row alone is computed once a row.
+    down, turn = y + 0.5 - ay[face], 1.0 / area[face]
+    across = x + 0.5 - ax[face][row]
+    v = (across * cy[face][row] - (down * cx[face])[row]) * turn[row]
+    w = ((bx[face] * down)[row] - by[face][row] * across) * turn[row]
+    inside = (v >= 0.0) & (w >= 0.0) & (v + w <= 1.0)
+    row, x, v, w = row[inside], x[inside], v[inside], w[inside]
+    return face[row], y[row] * camera.width + x, np.stack([1.0 - v - w, v, w], axis=1)
 
 
-def _cross(a: Array, b: Array) -> Array:
-    return np.asarray(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])
+def _ranges(first: Array, counts: Array) -> tuple[Array, Array]:
+    """The numbers first, first + 1, ... of ranges (N,) with so many each: the range (M,) and the number (M,)."""
+    owner = np.repeat(np.arange(len(counts)), counts)
+    return owner, np.arange(len(owner)) + (first + counts - np.cumsum(counts))[owner]
+
+
+def _spans(corners: Array, y: Array) -> tuple[Array, Array]:
+    """First sample (N,) and the one behind the last (N,) in which triangles (N, 3, 2) can cover the line y (N,).
+
+    One more on each side, because the sides' places are rounded.
+    """
+    sides = np.roll(corners, -1, axis=1) - corners
+    with np.errstate(divide="ignore", invalid="ignore"):
+        share = (y[:, None] - corners[..., 1]) / sides[..., 1]
+        place = corners[..., 0] + share * sides[..., 0]
+    crossed = (share >= -1e-9) & (share <= 1.0 + 1e-9)
+    left = np.where(crossed, place, np.inf).min(axis=1, initial=np.inf)
+    right = np.where(crossed, place, -np.inf).max(axis=1, initial=-np.inf)
+    return np.ceil(left - 0.5) - 1.0, np.floor(right - 0.5) + 2.0

@@ -52,7 +52,7 @@ def test_commands_run_without_home_and_user(tmp_path: Path) -> None:
     commands = [
         ["object", "add", "box.obj", "--units", "m", "--to", "objects", "--shape", "parts"],
         ["test", "--baseline", "gt_pd", "--data", "free", "--objects", "004", "labels.limit_per_object=1",
-         "eval.window_s=0.1", "pool.kind=serial"],
+         "env.episode_steps=6", "env.grasp_steps=3", "eval.window_s=0.1", "pool.kind=serial"],
     ]  # fmt: skip
     done = subprocess.run(
         [sys.executable, "-c", _NO_HOME, json.dumps(commands)], cwd=tmp_path, capture_output=True, text=True,

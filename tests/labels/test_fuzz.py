@@ -37,6 +37,9 @@ pytestmark = pytest.mark.filterwarnings("error")
 N = int(os.environ.get("DGRASP_FUZZ", "2000"))
 """Mutated files of each kind; there are 20 kinds."""
 
+EXTREMES = [struct.pack("<d", number) for number in (np.nan, np.inf, 1e300, -1e300, 1e-300)]
+"""Numbers that no label holds, as bytes."""
+
 
 def rewrite(path: Path, raw: bytes) -> None:
     """Write a file anew. Some file systems wait for the disk where a file that is there is truncated."""
@@ -47,17 +50,18 @@ def rewrite(path: Path, raw: bytes) -> None:
 def mutate(raw: bytes, rng: np.random.Generator) -> bytes:
     """One to four changes: bits, bytes, runs cut out, doubled or moved, the end lost, extreme numbers."""
     data = bytearray(raw)
-    for _ in range(rng.integers(1, 5)):
+    # One call draws the numbers of all changes; a call for each takes as long as the readers.
+    for where, early, length, kind, value in rng.random((int(rng.integers(1, 5)), 5)).tolist():
         if not data:
             break
         # Half of the changes hit the first kilobyte, where most of the structure is.
-        at = int(rng.integers(min(len(data), 1000) if rng.random() < 0.5 else len(data)))
-        run = int(rng.integers(1, 64))
-        kind = rng.integers(7)
+        at = int(where * (min(len(data), 1000) if early < 0.5 else len(data)))
+        run = 1 + int(63 * length)
+        kind = int(7 * kind)
         if kind == 0:
-            data[at] ^= 1 << int(rng.integers(8))
+            data[at] ^= 1 << int(8 * value)
         elif kind == 1:
-            data[at] = int(rng.integers(256))
+            data[at] = int(256 * value)
         elif kind == 2:
             del data[at : at + run]
         elif kind == 3:
@@ -65,7 +69,7 @@ def mutate(raw: bytes, rng: np.random.Generator) -> bytes:
         elif kind == 4:
             data[at:at] = rng.bytes(run)
         elif kind == 5:
-            data[at : at + 8] = struct.pack("<d", rng.choice([np.nan, np.inf, 1e300, -1e300, 1e-300]))
+            data[at : at + 8] = EXTREMES[int(len(EXTREMES) * value)]
         else:
             del data[at:]
     return bytes(data)

@@ -45,6 +45,8 @@ from tests.objects.meshes import box, save
 from tests.scenes import free_hand, make_label
 
 BRICK = "061_foam_brick"
+QUICK = {"eval": {"window_s": 0.1}, "physics": {"preset": "fast"}}
+"""Values of a config for short trials."""
 
 
 @pytest.fixture(scope="module")
@@ -143,7 +145,7 @@ def test_the_descent_brings_the_hand_to_the_object(hand: TorchHand, setting: Set
 
 def few(seed: int, told: list[float] | None = None) -> synthesis.Synthesised:
     """Three labels; a batch of 48 hands has the nine sound grasps that are tried, so one round is enough."""
-    config = make_config({"eval": {"window_s": 0.1}}, "test")
+    config = make_config(QUICK, "test")
     model = free_object(BRICK, "official", True)
     report = [].append if told is None else told.append
     return Synthesiser(free_hand()).make(model, 3, np.random.default_rng(seed), config, 48, 36, report)
@@ -181,7 +183,7 @@ def test_same_seed_same_labels_whatever_the_callers_generator_which_stays_as_it_
         assert a.start is not None and b.start is not None and np.array_equal(a.start.T_WH, b.start.T_WH)
     assert np.array_equal(made.held, again.held)
     # It says how far it is, after each step of the descents (36 + 18 per round) and of the trial.
-    config = make_config({"eval": {"window_s": 0.1}})
+    config = make_config(QUICK)
     search, trial = search_and_trial(config.engine)
     steps = sum(share > search for share in told)
     assert told == sorted(told) and told[-1] == pytest.approx(search + trial)
@@ -198,7 +200,7 @@ def test_a_left_hand_of_hulls_and_an_added_object(tmp_path: Path, monkeypatch: p
     words = [str(mesh), "--mass", "0.2", "--to", str(tmp_path / "mine"), "--shape", "box"]
     assert run_command("object add", words) == 0
     model, named = load_object(tmp_path / "mine" / "carton", True), open_hand(str(left))
-    config = make_config({"eval": {"window_s": 0.1}}, "test")
+    config = make_config(QUICK, "test")
     made = Synthesiser(named.model).make(model, 2, np.random.default_rng(3), config, batch=10, iterations=36)
     surfaces = Surfaces([tmp_path / "mine"])
     for label in made.labels:
@@ -274,7 +276,7 @@ def test_three_barren_rounds_are_the_end(
 def test_more_grasps_than_the_engine_has_worlds_are_tried_in_turns(
     made: synthesis.Synthesised, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    config, model = make_config({"eval": {"window_s": 0.1}}, "test"), free_object(BRICK, "official", True)
+    config, model = make_config(QUICK, "test"), free_object(BRICK, "official", True)
     together = gt_pd_holds(made.labels, free_hand(), model, config)
     sizes: list[int] = []
 

@@ -17,7 +17,7 @@ from dgrasp.synthesis.trial import gt_pd_holds, outlasts_window
 
 WINDOW_S = 0.6
 CONFIG = load_config(None, ["data=free", f"eval.window_s={WINDOW_S}", "labels.objects=['061']", "pool.kind=serial",
-                            "labels.limit_per_object=8"])  # fmt: skip
+                            "labels.limit_per_object=8", "physics.preset=fast"])  # fmt: skip
 
 
 def test_a_trial_succeeds_where_the_test_of_gt_pd_does() -> None:

@@ -33,6 +33,14 @@ def parallel(request):
     pool.close()
 
 
+@pytest.fixture(scope="module")
+def mortal():
+    """A pool of two workers whose workers are lost; each loss must leave it as good as new for the next test."""
+    pool = ProcessPool(make_spec(3, [*SHORT, "pool.hang_s=4"]), 2)
+    yield pool
+    pool.close()
+
+
 def test_process_pool_equals_serial_to_the_bit(serial, parallel):
     for mode in ("train", "test"):
         for ours, reference in zip(run(parallel, mode), run(serial, mode), strict=True):
@@ -65,52 +73,37 @@ def test_an_interrupted_collection_leaves_the_pool_usable(serial, parallel):
 
 
 @pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGSTOP])
-def test_a_lost_worker_is_replaced_and_its_experience_dropped(serial, how):
+def test_a_lost_worker_is_replaced_and_its_experience_dropped(serial, mortal, how):
     """One worker is killed, or stopped so that it hangs; the experience of the other worker does not change."""
     reference = {k: v.copy() for k, v in vars(serial.collect(random_actor(), 4, EPISODE, lambda n: None)).items()}
-    pool = ProcessPool(make_spec(3, [*SHORT, "pool.hang_s=4"]), 2)
-    try:
-        t = pool.collect(Mortal(**vars(random_actor()), how=how), 4, EPISODE, lambda n: None)
-        assert t.valid.tolist() == [True, False, True]
-        for name, array in vars(t.valid_part()).items():
-            expected = reference[name][[0, 2]] if len(reference[name]) == 3 else reference[name][:, [0, 2]]
-            assert np.array_equal(array, expected), name
-        assert pool.timing()["lost_workers"] == 1.0
-        (event,) = pool.drain_events()
-        assert ("died (exit code -9)" if how == signal.SIGKILL else "hung") in event and "dropped" in event
-        again = pool.collect(random_actor(), 4, EPISODE, lambda n: None)
-        assert all(np.array_equal(array, reference[name]) for name, array in vars(again).items())
-    finally:
-        pool.close()
+    lost_before = mortal.timing()["lost_workers"]
+    t = mortal.collect(Mortal(**vars(random_actor()), how=how), 4, EPISODE, lambda n: None)
+    kept = np.flatnonzero(t.valid)
+    assert len(kept) == 2
+    for name, array in vars(t.valid_part()).items():
+        expected = reference[name][kept] if len(reference[name]) == 3 else reference[name][:, kept]
+        assert np.array_equal(array, expected), name
+    assert mortal.timing()["lost_workers"] == lost_before + 1.0
+    (event,) = mortal.drain_events()
+    assert ("died (exit code -9)" if how == signal.SIGKILL else "hung") in event and "dropped" in event
+    again = mortal.collect(random_actor(), 4, EPISODE, lambda n: None)
+    assert all(np.array_equal(array, reference[name]) for name, array in vars(again).items())
 
 
-def test_a_worker_lost_between_steps_says_so_and_is_there_again(serial):
-    pool = ProcessPool(make_spec(3, SHORT), 2)
+def test_a_worker_lost_between_steps_says_so_and_is_there_again(serial, mortal):
+    """Three losses, as in a long test, with only resets and steps in between: not three in a row."""
     expected = serial.reset(3).copy()
-    try:
-        pool.reset(3)
-        os.kill(pool._members[1].process.pid, signal.SIGKILL)
+    for mode in ("train", "train", "test"):
+        observation = mortal.reset(3, mode)
+        assert np.array_equal(observation, expected) == (mode == "train")
+        mortal.step(np.zeros((3, 51), np.float32))
+        os.kill(mortal._members[1].process.pid, signal.SIGKILL)
         with pytest.raises(WorkerLost, match=r"worker 1 died \(exit code -9\)"):
+            if mode == "test":
+                mortal.remove_table()
             for _ in range(100):
-                pool.step(np.zeros((3, 51), np.float32))
-        assert np.array_equal(pool.reset(3), expected)
-    finally:
-        pool.close()
-
-
-def test_losses_with_successes_in_between_are_not_in_a_row():
-    """Three losses, as in a long test, with only resets and steps in between."""
-    pool = ProcessPool(make_spec(1, SHORT), 1)
-    try:
-        for _ in range(3):
-            pool.reset(3, "test")
-            pool.step(np.zeros((1, 51), np.float32))
-            os.kill(pool._members[0].process.pid, signal.SIGKILL)
-            with pytest.raises(WorkerLost, match="worker 0 died"):
-                pool.remove_table()
-        assert pool.reset(3, "test").any()
-    finally:
-        pool.close()
+                mortal.step(np.zeros((3, 51), np.float32))
+    assert np.array_equal(mortal.reset(3), expected)
 
 
 def test_a_worker_that_never_lives_is_given_up(monkeypatch):

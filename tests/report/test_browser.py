@@ -23,7 +23,7 @@ FLAGS = (
     "--disable-component-update", "--disable-sync", "--disable-dev-shm-usage", "--hide-scrollbars",
     # WebGL without a graphics card.
     "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist",
-    "--force-device-scale-factor=1", "--window-size=900,700", "--virtual-time-budget=3000",
+    "--force-device-scale-factor=1", "--virtual-time-budget=3000",
 )  # fmt: skip
 
 
@@ -38,33 +38,41 @@ def chromium() -> str | None:
 
 
 class Browser:
-    """Opens the report in a new browser process for each view."""
+    """Opens the report in a new browser process for each question."""
 
     def __init__(self, binary: str, folder: Path) -> None:
         self.binary, self.folder, self.looks = binary, folder, 0
         self.file = folder / "report.html"
         self.file.write_text(page(), encoding="utf-8")
 
-    def _run(self, how: str, view: str, script: str = "") -> str:
+    def _run(self, *words: str) -> str:
         self.looks += 1
-        self.file.write_text(page().replace("</body>", f"<script>{script}</script></body>"), encoding="utf-8")
         profile = self.folder / f"profile{self.looks}"
-        words = [self.binary, *FLAGS, f"--user-data-dir={profile}", how, f"{self.file.as_uri()}#{view}"]
-        done = subprocess.run(words, capture_output=True, text=True, timeout=180)
+        command = [self.binary, *FLAGS, f"--user-data-dir={profile}", *words]
+        done = subprocess.run(command, capture_output=True, text=True, timeout=180)
         assert done.returncode == 0, done.stderr[-2000:]
         return done.stdout
 
     def dom(self, view: str, script: str = "") -> str:
         """The page's elements after its scripts, and another one, have run."""
-        return self._run("--dump-dom", view, script)
+        file = self.folder / "scripted.html"
+        file.write_text(page().replace("</body>", f"<script>{script}</script></body>"), encoding="utf-8")
+        return self._run("--dump-dom", f"{file.as_uri()}#{view}")
 
-    def picture(self, view: str) -> Array:
-        """The middle of the replay in full-window mode, (300, 500, 3), without text and controls."""
-        file = self.folder / "shot.png"
+    def pictures(self, *views: str) -> list[Array]:
+        """The middle of the replay in full-window mode, (300, 500, 3) each, without text and controls.
+
+        One browser shows the report once for each view, one below the other.
+        """
+        file, frames = self.folder / "shot.png", self.folder / "frames.html"
         file.unlink(missing_ok=True)
-        self._run(f"--screenshot={file}", f"{view}&full=1")
+        frames.write_text("<body style='margin: 0'>" + "".join(
+            f"<iframe src='{self.file.as_uri()}#{view}&full=1' style='display: block; border: 0' width=900 height=700>"
+            "</iframe>" for view in views), encoding="utf-8")  # fmt: skip
+        self._run(f"--window-size=900,{700 * len(views)}", f"--screenshot={file}", frames.as_uri())
         with Image.open(file) as image:
-            return np.asarray(image.convert("RGB"), dtype=int)[150:450, 200:700]
+            whole = np.asarray(image.convert("RGB"), dtype=int)
+        return [whole[700 * i + 150 : 700 * i + 450, 200:700] for i in range(len(views))]
 
 
 @pytest.fixture(scope="module")
@@ -86,8 +94,8 @@ def test_the_table_is_there_and_the_viewer_runs(browser: Browser) -> None:
 
 
 def test_the_replay_moves_and_turns(browser: Browser) -> None:
-    start, again, end, turned = (browser.picture(view) for view in (
-        "replay=2&t=0&zoom=2", "replay=2&t=0&zoom=2", "replay=2&t=1&zoom=2", "replay=2&t=0&zoom=2&yaw=170"))
+    start, again, end, turned = browser.pictures(
+        "replay=2&t=0&zoom=2", "replay=2&t=0&zoom=2", "replay=2&t=1&zoom=2", "replay=2&t=0&zoom=2&yaw=170")
     assert np.abs(start - again).max() <= 2
     # The hand turns by two radians and the object sinks by 7 cm, so a good part of the picture changes.
     for other in (end, turned):
@@ -102,7 +110,8 @@ def blue(picture: Array) -> float:
 
 def test_the_collision_shapes_take_the_place_of_the_surfaces(browser: Browser) -> None:
     # Replay 2 shows a box that collides as one of twice its width, seen here from the side.
-    surfaces, shapes = (browser.picture(f"replay=2&t=0&zoom=1.5&pitch=0&yaw=90&shapes={on}") for on in (0, 1))
+    surfaces, shapes = browser.pictures(
+        *(f"replay=2&t=0&zoom=1.5&pitch=0&yaw=90&shapes={on}" for on in (0, 1)))
     assert blue(shapes) > 1.5 * blue(surfaces) > 0.0
 
 

@@ -32,7 +32,7 @@ def test_it_holds_what_pd_control_drops(tmp_path: Path, capsys: pytest.CaptureFi
     """Test labels of three objects, held for 1.5 s without a table."""
     objects = "labels.objects=[003_cracker_box, 008_pudding_box, 010_potted_meat_can]"
     words = ["--data", "free", "--split", "test", "--window", "1.5", objects, "labels.limit_per_object=2",
-             "eval.interpenetration=false"]  # fmt: skip
+             "eval.interpenetration=false", "pool.kind=serial"]  # fmt: skip
     success = {}
     for name, method in (("gt_pd", ["--baseline", "gt_pd"]), ("policy", ["--run", "pretrained"])):
         file = tmp_path / f"{name}.json"
