@@ -76,8 +76,8 @@ class GraspGymEnv(gymnasium.Env[Array, Array]):
     that the environments of Gymnasium's own vectors have different ones; without a seed the label stays, or, at first,
     is drawn. Observations are the feature layer's (float32), actions (D,), of task motion (6,), the residual over
     `ACTION_SCALE`. info: "object" and "label", their names; "inertia", the object's: "true", or "official", the
-    authors' 1 kg m^2; "reward_terms", the weighted terms by name; where
-    training episodes have a hold (`env.hold`), "is_success" at their end: whether the object was held until then.
+    authors' 1 kg m^2; "reward_terms", the weighted terms by name; where training episodes have a hold (`env.hold`),
+    "is_success" at their end: whether the object was held until then.
     """
 
     metadata = {"render_modes": ["rgb_array"], "render_fps": 35}  # noqa: RUF012

@@ -45,5 +45,5 @@ def data_stamp(method: Method, config: Config, choice: DataChoice) -> dict[str, 
     method's training left out, if there are any.
     """
     found, unseen = differences(method, config, choice), method.unseen(choice.labels.objects)
-    return choice.stamp() | {"comparable_with_paper": not found} | (
-        {"not_comparable": found} if found else {}) | ({"unseen_objects": unseen} if unseen else {})
+    lists = {"not_comparable": found, "unseen_objects": unseen}
+    return choice.stamp() | {"comparable_with_paper": not found} | {key: some for key, some in lists.items() if some}

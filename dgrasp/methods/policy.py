@@ -50,16 +50,15 @@ class PolicyMethod(Method):
         The paper tests policies on objects that they were trained on, or on one of its own sets of left-out objects.
         """
         on = self.trained_on
-        if on is None:
-            return []
-        if on.get("hand") != data["hand"]:
+        if on is not None and on.get("hand") != data["hand"]:
             return [f"the policy was trained for the hand {_shown(on.get('hand'))}, not {_shown(data['hand'])}"]
-        trained_like_the_paper = on.get("comparable_with_paper") and on.get("split", "train") == "train"
-        if data["comparable_with_paper"] and not trained_like_the_paper:
+        if not data["comparable_with_paper"]:
+            return []
+        if on is not None and not (on.get("comparable_with_paper") and on.get("split", "train") == "train"):
             used = ", ".join(f"{key} {_shown(on[key])}" for key in ("labels", "inertia") if key in on)
             return [f"the policy was trained on other data than the paper's ({used})"]
         unseen = self.unseen(objects)
-        if data["comparable_with_paper"] and unseen and not is_papers_split(self._seen, objects):
+        if unseen and not is_papers_split(self._seen, objects):
             return [f"the policy was not trained on {', '.join(unseen)}, and the paper has no such test"]
         return []
 

@@ -43,7 +43,7 @@ class Cells:
     comparable: whether hand, labels, targets and the keys of the evaluation are the paper's.
     differences: why not, as far as the results tell.
     evaluated: engine, window, inertia and commit of the evaluations.
-    missing: why values are missing. errors: those reasons that are no missing training.
+    missing: why values are missing. errors: those of the reasons that no training would mend.
     notes: remarks on the values.
     commands: the command lines of the evaluations.
     seeds: seed -> its own values; empty with a single seed.
