@@ -12,7 +12,7 @@ from importlib import import_module
 from typing import Any, NoReturn
 
 from dgrasp.errors import DGraspError
-from dgrasp.rl.run.interrupts import Interrupted
+from dgrasp.rl.run.interrupts import Interrupted, interruptible
 from dgrasp.version import __version__
 
 EXIT_BAD_INPUT, EXIT_INTERRUPTED = 2, 130
@@ -126,31 +126,38 @@ class _Parser(argparse.ArgumentParser):
 
 
 def run_command(name: str, arguments: Sequence[str], prog: str | None = None) -> int:
-    """Run one command with its arguments; returns the exit code. train.py and test.py call this."""
+    """Run one command with its arguments; returns the exit code. train.py and test.py call this.
+
+    SIGTERM ends a command like Ctrl-C: it stops its processes and frees their shared memory on the way out.
+    """
     _open_streams()
     try:
-        try:
-            module = import_module(COMMANDS[name])
-            parser = _Parser(
-                prog=prog, description=module.HELP, formatter_class=argparse.RawDescriptionHelpFormatter
-            )
-            module.add_arguments(parser)
-            return int(module.main(parser.parse_intermixed_args(arguments)))
-        except DGraspError as error:
-            print(f"error: {error}", file=sys.stderr)
-            return EXIT_BAD_INPUT
-        except Interrupted as stop:
-            print(str(stop), file=sys.stderr)
-            return 0 if stop.preempted else EXIT_INTERRUPTED
-        except OSError as error:
-            # The path is not accessible or too long. An OSError without a file name is a bug, so it is raised.
-            if error.filename is None:
-                raise
-            print(f"error: {error.filename}: {error.strerror}", file=sys.stderr)
-            return EXIT_BAD_INPUT
+        with interruptible():
+            return _run(name, arguments, prog)
     except KeyboardInterrupt:
         print("interrupted", file=sys.stderr)
         return EXIT_INTERRUPTED
+
+
+def _run(name: str, arguments: Sequence[str], prog: str | None) -> int:
+    """Run one command; its errors become messages and exit codes."""
+    try:
+        module = import_module(COMMANDS[name])
+        parser = _Parser(prog=prog, description=module.HELP, formatter_class=argparse.RawDescriptionHelpFormatter)
+        module.add_arguments(parser)
+        return int(module.main(parser.parse_intermixed_args(arguments)))
+    except DGraspError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return EXIT_BAD_INPUT
+    except Interrupted as stop:
+        print(str(stop), file=sys.stderr)
+        return 0 if stop.preempted else EXIT_INTERRUPTED
+    except OSError as error:
+        # The path is not accessible or too long. An OSError without a file name is a bug, so it is raised.
+        if error.filename is None:
+            raise
+        print(f"error: {error.filename}: {error.strerror}", file=sys.stderr)
+        return EXIT_BAD_INPUT
 
 
 def _open_streams() -> None:

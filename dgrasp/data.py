@@ -75,6 +75,12 @@ class DataChoice:
         """Whether hand, labels and inertia are the paper's."""
         return not self.differences
 
+    def inertia_of(self, name: str) -> Inertia:
+        """The inertia of one object: "true" or "official"."""
+        if self.inertia == "mixed":
+            return "true" if name in self.added else "official"
+        return self.inertia
+
     def stamp(self) -> dict[str, Any]:
         """Record of the choice for results and run folders: plain JSON values, without paths of this machine."""
         added = {"added_objects": {name: entry.id for name, entry in self.added.items()}} if self.added else {}
@@ -110,7 +116,7 @@ def resolve(config: Config) -> DataChoice:
     Raises `DataError` if something that the config names does not exist (the message lists what was looked for and what
     was found), if the labels were made for another hand, and, with `fallback: error`, if only the free set is found.
     """
-    root, notes = _find_root(config)
+    root, notes = find_root(config)
     kind: DataKind = "free" if _is_free(root) else "release"
     if kind == "release" and not os.path.isdir(root / "objects"):
         raise DataError(f"{root}: no folder objects/; expected {_LAYOUT}")
@@ -183,8 +189,8 @@ def _contents(folder: Path) -> str:
     return ", ".join(names[:20]) + (", ..." if len(names) > 20 else "") or "nothing"
 
 
-def _find_root(config: Config) -> tuple[Path, list[str]]:
-    """The data folder, and notes for the user."""
+def find_root(config: Config) -> tuple[Path, list[str]]:
+    """The data folder, and notes for the user; `DataError` if there is none."""
     if config.data is not None:
         return _named_root(config.data, "data"), []
     if os.environ.get("DGRASP_DATA"):

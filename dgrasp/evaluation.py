@@ -18,6 +18,7 @@ from dgrasp.geometry.intersection import Body
 from dgrasp.methods.method import Method
 from dgrasp.objects.body import ObjectBody
 from dgrasp.pool import PoolSpec
+from dgrasp.rl.run.interrupts import check_interrupted
 from dgrasp.rl.run.progress import format_duration
 from dgrasp.types import EpisodeRecord
 
@@ -78,6 +79,7 @@ class _Progress:
         self._start = time.monotonic()
 
     def __call__(self, done: int, total: int) -> None:
+        check_interrupted()
         if sys.stderr.isatty():
             left = (time.monotonic() - self._start) / done * (total - done)
             end = "\n" if done == total else ""

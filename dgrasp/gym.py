@@ -16,7 +16,7 @@ from gymnasium.vector import AutoresetMode
 
 from dgrasp.build import build_spec
 from dgrasp.config.experiment import Config, find_config, load_config, make_config
-from dgrasp.data import resolve
+from dgrasp.data import DataChoice, resolve
 from dgrasp.errors import ConfigError
 from dgrasp.pool import PoolSpec, make_pool
 from dgrasp.pool.serial import SerialPool
@@ -62,8 +62,9 @@ def _residual(action: Any, space: gymnasium.Space[Array]) -> Array:
     return given * np.float32(ACTION_SCALE)
 
 
-def _spec(config: Config) -> PoolSpec:
-    return build_spec(resolve(config), config)
+def _spec(config: Config) -> tuple[PoolSpec, DataChoice]:
+    choice = resolve(config)
+    return build_spec(choice, config), choice
 
 
 class GraspGymEnv(gymnasium.Env[Array, Array]):
@@ -74,8 +75,9 @@ class GraspGymEnv(gymnasium.Env[Array, Array]):
     label: index into the chosen labels. None leaves the choice to `reset`: its seed modulo the number of labels, so
     that the environments of Gymnasium's own vectors have different ones; without a seed the label stays, or, at first,
     is drawn. Observations are the feature layer's (float32), actions (D,), of task motion (6,), the residual over
-    `ACTION_SCALE`. info: "object" and "label", their names; "reward_terms", the weighted terms by name; where
-    training episodes have a hold (`env.hold`), "is_success" at their end: whether the object was held until then.
+    `ACTION_SCALE`. info: "object" and "label", their names; "inertia", the object's: "true", or "official", the
+    authors' 1 kg m^2; "reward_terms", the weighted terms by name; where training episodes have a hold (`env.hold`),
+    "is_success" at their end: whether the object was held until then.
     """
 
     metadata = {"render_modes": ["rgb_array"], "render_fps": 35}  # noqa: RUF012
@@ -87,7 +89,7 @@ class GraspGymEnv(gymnasium.Env[Array, Array]):
         label: int | None = None,
         render_mode: str | None = None,
     ) -> None:
-        self._all = _spec(_config(cfg, overrides, "serial"))
+        self._all, self._choice = _spec(_config(cfg, overrides, "serial"))
         count = len(self._all.labels)
         if label is not None and not 0 <= label < count:
             raise ConfigError(f"label {label}: there are {count} labels, 0 to {count - 1}")
@@ -118,7 +120,7 @@ class GraspGymEnv(gymnasium.Env[Array, Array]):
 
     def _names(self) -> dict[str, Any]:
         label = self._spec.labels[0]
-        return {"object": label.object_id, "label": label.name}
+        return {"object": label.object_id, "label": label.name, "inertia": self._choice.inertia_of(label.object_id)}
 
     def step(self, action: Array) -> tuple[Array, float, bool, bool, dict[str, Any]]:
         result = self._pool.step(_residual(action, self.action_space)[None])
@@ -173,12 +175,14 @@ class GraspVectorEnv(gymnasium.vector.VectorEnv[Array, Array, Array]):
             raise ConfigError(f"num_envs {num_envs}: expected 1 or more")
         if autoreset_mode not in (AutoresetMode.SAME_STEP, AutoresetMode.NEXT_STEP):
             raise ConfigError(f"autoreset_mode {autoreset_mode}: expected AutoresetMode.SAME_STEP or NEXT_STEP")
-        spec = _spec(_config(cfg, overrides, pool))
+        spec, choice = _spec(_config(cfg, overrides, pool))
         labels = [spec.labels[i % len(spec.labels)] for i in range(num_envs)]
         self._pool = make_pool(replace(spec, labels=labels))
         self._holds = spec.config.env.hold.first_step is not None
-        self._names = {"object": np.array([label.object_id for label in labels], dtype=object),
-                       "label": np.array([label.name for label in labels], dtype=object)}
+        objects = [label.object_id for label in labels]
+        self._names = {"object": np.array(objects, dtype=object),
+                       "label": np.array([label.name for label in labels], dtype=object),
+                       "inertia": np.array([choice.inertia_of(name) for name in objects], dtype=object)}
         self.num_envs = num_envs
         self._mode, self._ended = autoreset_mode, np.zeros(num_envs, bool)
         self.metadata = {**self.metadata, "autoreset_mode": autoreset_mode}

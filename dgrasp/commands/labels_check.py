@@ -18,7 +18,8 @@ if TYPE_CHECKING:
 HELP = """\
 Read a label file and check every label against the hand and the objects that it would be used with. The checks cover
 counts, frames, units, joint limits, penetration (cm3), distance (mm), goal contacts, height above the table, whether
-the contacts could carry the object's weight, and duplicates.
+the contacts could carry the object's weight, and duplicates. They are geometry and statics: nothing is simulated, so
+there is no --engine. `test --baseline gt_pd --labels FILE` tries the labels in physics.
 
 examples:
   dgrasp labels check DIR/labels/dexycb_train_labels.pkl --data DIR

@@ -7,6 +7,7 @@ import hashlib
 import multiprocessing
 import os
 import shutil
+import signal
 import time
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
@@ -91,6 +92,11 @@ def main(arguments: argparse.Namespace) -> int:
     todo = [task for task in tasks if not (parts / task.file).is_file()]
     if len(todo) < len(tasks):
         print(f"{parts}: {len(tasks) - len(todo)} objects are there from an interrupted run", flush=True)
+    inertia = which_inertia(np.array_equal(task.model.inertia, np.eye(3)) for task in tasks)
+    if todo:
+        names = ", ".join(task.model.name for task in todo)
+        print(f"making {arguments.number * len(todo)} labels, {arguments.number} per object: {names}; hand "
+              f"{hand.model.id}, engine {arguments.engine}, workers {workers}; {INERTIA[inertia]}", flush=True)
     context = multiprocessing.get_context("spawn")
     # Each process writes the shares of its own objects, so there is no need for a lock.
     shares = context.RawArray("d", len(todo))
@@ -104,13 +110,16 @@ def main(arguments: argparse.Namespace) -> int:
                 made.append(labels)
                 figures[task.model.name] = row
                 print(_line(task.model.name, len(labels), row), flush=True)
+        except BaseException:
+            # What the processes have begun is lost, and would take minutes to end.
+            for process in multiprocessing.active_children():
+                process.terminate()
+            raise
         finally:
             shown.close()
-            # After an error, objects that no process has begun are dropped.
-            pool.shutdown(wait=False, cancel_futures=True)
+            pool.shutdown(cancel_futures=True)
     held = sum(row["held"] for row in figures.values()) / sum(map(len, made))
     best = float(np.mean([row["best_quarter_held"] for row in figures.values()]))
-    inertia = which_inertia(np.array_equal(task.model.inertia, np.eye(3)) for task in tasks)
     print(f"{sum(map(len, made))} labels in {time.monotonic() - begin:.0f} s; gt_pd holds {held:.2f} of them, "
           f"{best:.2f} of each object's best quarter by geometry; {INERTIA[inertia]}")
     _write(files, made, arguments, hand, figures, inertia)
@@ -225,6 +234,8 @@ _shares: Any = None
 
 def _begin(shares: Any) -> None:
     """Prepare a process of the pool."""
+    # The main process handles Ctrl-C.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
     import torch
 
     global _shares

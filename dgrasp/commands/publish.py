@@ -6,6 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from dgrasp.config.sections import INERTIA
 from dgrasp.errors import DataError
 from dgrasp.files.typed import typed
 from dgrasp.rl.run.folder import BEST, latest
@@ -54,7 +55,9 @@ def main(arguments: argparse.Namespace) -> int:
     score = "" if read.best_success is None else f", best success in training {read.best_success:.2f}"
     print(f"wrote {out}: {size} bytes, from {source} ({read.epoch} epochs{score})")
     data = read.data
-    print(f"trained on {data.get('labels', 'unknown labels')}; their licence: {data.get('licence', 'unknown')}")
+    inertia = INERTIA.get(data.get("inertia", ""), "unknown inertia")
+    print(f"trained on {data.get('labels', 'unknown labels')} with {inertia}; the labels' licence: "
+          f"{data.get('licence', 'unknown')}")
     return 0
 
 

@@ -17,7 +17,11 @@ _NOT_OF_TABLES = ("baseline", "run", "motion", "split", "labels", "objects", "js
 
 
 def main(arguments: argparse.Namespace) -> int:
-    """Fill, print and write the tables that `arguments.table` names."""
+    """Fill, print and write the tables that `arguments.table` names.
+
+    A table without values is complete if its policies are untrained, for then it lists the trainings. `DataError` if no
+    table has a value and an evaluation failed.
+    """
     refused = [f"--{name}" for name in _NOT_OF_TABLES if getattr(arguments, name) not in (None, False)]
     if refused:
         raise ConfigError("--table takes methods, labels and targets from the paper and writes NAME.md, NAME.csv and "
@@ -25,7 +29,7 @@ def main(arguments: argparse.Namespace) -> int:
                           "all objects; the key labels.objects=[NAME, ...] restricts rows that name no objects of "
                           "their own), or leave out --table for a single evaluation")
 
-    from dgrasp.tables.fill import Tables, fill
+    from dgrasp.tables.fill import Cells, Tables, fill
     from dgrasp.tables.plan import plans
     from dgrasp.tables.show import show, write
 
@@ -47,8 +51,13 @@ def main(arguments: argparse.Namespace) -> int:
         root.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise DataError(f"--runs {root}: cannot write to this folder ({error.strerror})") from None
+    every: list[Cells] = []
     for plan in chosen:
         rows = fill(plan, seeds)
         show(plan, rows)
         write(plan, rows, root)
+        every += rows
+    errors = [error for cells in every for error in cells.errors]
+    if errors and not any(cells.values for cells in every):
+        raise DataError(f"--table {arguments.table}: no evaluation was possible; the first that failed is {errors[0]}")
     return 0

@@ -7,6 +7,7 @@ import webbrowser
 from html import escape
 from pathlib import Path
 
+from dgrasp.config.sections import INERTIA
 from dgrasp.errors import ConfigError
 from dgrasp.files.atomic import write_atomic
 from dgrasp.files.outputs import check_outputs
@@ -55,8 +56,10 @@ def main(arguments: argparse.Namespace) -> int:
     data = replay.pack(shown, {s.record.label.object_id: s.meshes for s in sequences})
     name = arguments.source.name or "sequences"
     first = sequences[0].about
+    inertia = INERTIA.get(first["data"].get("inertia", ""))
+    lead = f'<p class="lead">The objects have {escape(inertia)}.</p>' if inertia else ""
     head = (f'<header><p class="over">D-Grasp sequences</p><h1>{escape(name)} <span>{escape(first["method"])} on '
-            f'{escape(first["engine"])}</span></h1></header>\n')
+            f'{escape(first["engine"])}</span></h1>{lead}</header>\n')
     write_atomic(out, document(name, [head, replays_section(shown, arguments.shapes)], data))
     print(f"wrote {out}")
     if not arguments.no_browser and not webbrowser.open(out.absolute().as_uri()):

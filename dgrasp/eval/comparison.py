@@ -24,7 +24,7 @@ def differences(method: Method, config: Config, choice: DataChoice) -> list[str]
 
     The differences are in the hand, the labels, what a policy was trained on, the window, the physics and the targets.
     """
-    found = [*choice.differences, *method.differences(choice.stamp())]
+    found = [*choice.differences, *method.differences(choice.stamp(), choice.labels.objects)]
     if config.eval.window_s not in WINDOWS:
         found.append(f"the window is {config.eval.window_s:g} s, not {' or '.join(f'{w:g}' for w in WINDOWS)} s")
     limit = config.labels.limit_per_object
@@ -41,7 +41,9 @@ def differences(method: Method, config: Config, choice: DataChoice) -> list[str]
 def data_stamp(method: Method, config: Config, choice: DataChoice) -> dict[str, Any]:
     """The record of the data for a result: `DataChoice.stamp()`, with the differences from the paper if there are any.
 
-    not_comparable: the differences. comparable_with_paper: whether there is none.
+    not_comparable: the differences. comparable_with_paper: whether there is none. unseen_objects: objects that the
+    method's training left out, if there are any.
     """
-    found = differences(method, config, choice)
-    return choice.stamp() | {"comparable_with_paper": not found} | ({"not_comparable": found} if found else {})
+    found, unseen = differences(method, config, choice), method.unseen(choice.labels.objects)
+    lists = {"not_comparable": found, "unseen_objects": unseen}
+    return choice.stamp() | {"comparable_with_paper": not found} | {key: some for key, some in lists.items() if some}

@@ -19,6 +19,7 @@ from dgrasp.eval.summary import Result
 from dgrasp.files.atomic import write_atomic
 
 NOT_COMPARABLE = "not comparable with the paper"
+UNSEEN_TABLE = "the paper's numbers for such objects are a table of their own (test --table unseen)"
 NO_COLUMN = "the paper has no numbers for this method on these labels"
 
 _TITLES = {
@@ -81,6 +82,8 @@ def notices(result: Result) -> list[str]:
     if not result.data.get("comparable_with_paper"):
         why = "; ".join(result.data.get("not_comparable") or ["hand or labels are not the paper's"])
         return [f"{NOT_COMPARABLE}: {why}"]
+    if result.data.get("unseen_objects"):
+        return [f"the policy was not trained on {', '.join(result.data['unseen_objects'])}; {UNSEEN_TABLE}"]
     return [NO_COLUMN] if result.paper is None else []
 
 

@@ -110,7 +110,8 @@ def summarise(
 ) -> Result:
     """The result of evaluated episodes, given as records or as rows like those of `label_row`, in file order.
 
-    data: `comparison.data_stamp`; its comparable_with_paper, source and split select the paper's column.
+    data: `comparison.data_stamp`; its comparable_with_paper, unseen_objects, source and split select the paper's
+    column.
     Every number in a row except `NO_METRICS` is a metric and is averaged over the labels that have it.
     Raises `DataError` if there are no episodes, or if a metric is NaN or infinite.
     """
@@ -122,7 +123,8 @@ def summarise(
         groups.setdefault(row["object"], []).append(row)
     object_means = {name: _means(group) for name, group in groups.items()}
     paper = None
-    if data.get("comparable_with_paper"):
+    # These columns are of policies that were trained on the tested objects.
+    if data.get("comparable_with_paper") and not data.get("unseen_objects"):
         labels = str(data.get("source")), str(data.get("split"))
         if motion is None:
             column = paper_column(*labels, method)

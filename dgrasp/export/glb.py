@@ -58,6 +58,7 @@ def glb_bytes(sequence: StoredSequence) -> bytes:
         "asset": {"version": "2.0", "generator": "dgrasp", "extras": {
             "method": about["method"], "engine": about["engine"], "object": record.label.object_id,
             "index": record.label.index, "labels": data.get("labels"), "licence": data.get("licence"),
+            "inertia": data.get("inertia"),
             "table_gone_s": None if record.table_stays else record.window_start * record.dt,
         }},
         "scene": 0, "scenes": [{"name": "grasp", "nodes": [len(nodes) - 1]}], "nodes": nodes,

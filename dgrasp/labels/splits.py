@@ -7,9 +7,10 @@ Three objects are left out of training, and the policy is tested on all labels o
 from __future__ import annotations
 
 import re
+from collections.abc import Collection
 
 from dgrasp.errors import DataError
-from dgrasp.objects.names import YCB_NAMES
+from dgrasp.objects.names import YCB_NAMES, resolve_object
 
 UNSEEN: dict[int, tuple[str, str, str]] = {
     1: ("004_sugar_box", "005_tomato_soup_can", "006_mustard_bottle"),
@@ -37,3 +38,20 @@ def object_set(name: str) -> set[str] | None:
                         f"unseen_{len(UNSEEN)}, the paper's sets")
     left_out = set(UNSEEN[int(match[2][:3])])
     return left_out if match[1] == "unseen" else set(YCB_NAMES.values()) - left_out
+
+
+def named_objects(names: Collection[str]) -> set[str]:
+    """The objects that a list such as `labels.objects` names; names of other objects, such as added ones, stay."""
+    found: set[str] = set()
+    for name in names:
+        try:
+            found |= object_set(name) or {resolve_object(name)}
+        except DataError:
+            found.add(name)
+    return found
+
+
+def is_papers_split(trained: Collection[str], tested: Collection[str]) -> bool:
+    """Whether a policy for the objects `trained` and a test on the objects `tested` are those of a set of the paper."""
+    everything = set(YCB_NAMES.values())
+    return any(set(trained) == everything - set(unseen) and set(tested) <= set(unseen) for unseen in UNSEEN.values())

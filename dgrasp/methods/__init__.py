@@ -32,7 +32,7 @@ def method_of(saved: SavedPolicy) -> PolicyMethod:
     """A saved policy as the method for its task; `DataError` for an unknown task."""
     if saved.task not in TRAINED:
         raise DataError(f"a policy of task {saved.task!r:.60}; expected {', '.join(TRAINED)}")
-    return TRAINED[saved.task](saved.policy, saved.data)
+    return TRAINED[saved.task](saved.policy, saved.data, saved.objects)
 
 
 __all__ = [

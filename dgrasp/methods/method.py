@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from typing import Any, ClassVar, Literal, Protocol
 
 from dgrasp.config.experiment import Config
@@ -57,8 +57,15 @@ class Method(Protocol):
             raise ConfigError(f"{self.name} is for task {self.task}, but the config has env.task={config.env.task}; "
                               "expected the policy's own config: its --run, or --cfg RUN/config.yaml")
 
-    def differences(self, data: Mapping[str, Any]) -> list[str]:
-        """In what the method is not the paper's on this data (`DataChoice.stamp`), such as what it was trained on."""
+    def differences(self, data: Mapping[str, Any], objects: Collection[str]) -> list[str]:
+        """In what the method is not the paper's on this data (`DataChoice.stamp`), such as what it was trained on.
+
+        objects: those of the data.
+        """
+        return []
+
+    def unseen(self, objects: Collection[str]) -> list[str]:
+        """Those of `objects` that training left out."""
         return []
 
     def prepare(self, spec: PoolSpec, bodies: Bodies) -> PoolSpec:

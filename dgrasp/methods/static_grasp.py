@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from typing import Any
 
 import numpy as np
@@ -48,9 +48,13 @@ class StaticGrasp(Method):
             raise ConfigError(f"--baseline static_grasp: a policy of task {self.task} makes no grasp to hold; expected "
                               "a grasping policy")
 
-    def differences(self, data: Mapping[str, Any]) -> list[str]:
+    def differences(self, data: Mapping[str, Any], objects: Collection[str]) -> list[str]:
         """Those of the method that makes the grasps."""
-        return self.grasp.differences(data)
+        return self.grasp.differences(data, objects)
+
+    def unseen(self, objects: Collection[str]) -> list[str]:
+        """Those of the method that makes the grasps."""
+        return self.grasp.unseen(objects)
 
     def fingers(self, motion: MotionConfig) -> Fingers:
         """The fingers hold their pose or their last PD targets."""

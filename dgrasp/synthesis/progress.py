@@ -11,6 +11,7 @@ from typing import TypeVar
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn
 
+from dgrasp.rl.run.interrupts import check_interrupted
 from dgrasp.rl.run.progress import LINE_INTERVAL_S, format_duration
 
 Report = Callable[[float], None]
@@ -93,6 +94,7 @@ class MakingProgress:
 
     def show(self) -> None:
         """Bring the display up to date."""
+        check_interrupted()
         now = self._clock()
         if self._bar is not None:
             self._bar.update(self._task, completed=self._done(), description=self.status(now))

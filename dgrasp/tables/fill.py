@@ -12,8 +12,9 @@ from typing import Any
 import numpy as np
 
 from dgrasp.config.experiment import Config, find_config, load_config
+from dgrasp.config.sections import INERTIA
 from dgrasp.config.values import flat_keys
-from dgrasp.data import DataChoice
+from dgrasp.data import DataChoice, find_root
 from dgrasp.errors import DataError, DGraspError
 from dgrasp.eval.motion import usual_set
 from dgrasp.eval.summary import Result, Row, is_metric, summarise
@@ -41,8 +42,8 @@ class Cells:
     n: number of labels (or motions).
     comparable: whether hand, labels, targets and the keys of the evaluation are the paper's.
     differences: why not, as far as the results tell.
-    evaluated: engine, window and commit of the evaluations.
-    missing: why values are missing.
+    evaluated: engine, window, inertia and commit of the evaluations.
+    missing: why values are missing. errors: those of the reasons that no training would mend.
     notes: remarks on the values.
     commands: the command lines of the evaluations.
     seeds: seed -> its own values; empty with a single seed.
@@ -56,6 +57,7 @@ class Cells:
     differences: list[str] = field(default_factory=list)
     evaluated: list[str] = field(default_factory=list)
     missing: list[str] = field(default_factory=list)
+    errors: list[str] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
     commands: list[str] = field(default_factory=list)
     seeds: dict[int, dict[str, float]] = field(default_factory=dict)
@@ -65,7 +67,7 @@ class Cells:
 class Found:
     """One seed's part of a table row.
 
-    rows: the labels' rows. results: their evaluations. missing, notes, commands: as in `Cells`.
+    rows: the labels' rows. results: their evaluations. missing, errors, notes, commands: as in `Cells`.
     changed: keys, with their values, in which the evaluations differ from those that the table row asks for.
     places: for each of `rows`, the index of its evaluation in the table row.
     """
@@ -74,6 +76,7 @@ class Found:
     rows: list[Row] = field(default_factory=list)
     results: list[dict[str, Any]] = field(default_factory=list)
     missing: list[str] = field(default_factory=list)
+    errors: list[str] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
     commands: list[str] = field(default_factory=list)
     changed: list[str] = field(default_factory=list)
@@ -99,6 +102,8 @@ class Tables:
         self.cfg = cfg or Path("cfg/dexycb.yaml")
         self.overrides, self.say = list(overrides), say
         config = load_config(find_config(self.cfg), self.overrides)
+        # Without data every row would only repeat this error, or name a training that fails with it.
+        find_root(config)
         folder = root / f"{config.name}_{config.engine}_seed{config.seed}"
         self.seed, self.results = config.seed, folder / "results"
         self.trainings = Trainings(folder, self.cfg, self.overrides, policy, say)
@@ -114,7 +119,8 @@ class Tables:
                     continue
                 result, command, changed = self._evaluate(trial, motion)
             except DGraspError as error:
-                found.missing.append(f"{line.group}, {line.name}: {error}")
+                found.errors.append(f"{line.group}, {line.name}: {error}")
+                found.missing.append(found.errors[-1])
                 continue
             found.commands.append(command)
             found.changed += [key for key in changed if key not in found.changed]
@@ -196,6 +202,7 @@ def _row(line: Line, seeds: Sequence[Found]) -> Cells:
     cells = Cells(line)
     for one in seeds:
         cells.missing += one.missing
+        cells.errors += one.errors
         cells.notes += one.notes
         cells.commands += one.commands
     there = [one for one in seeds if one.rows]
@@ -208,7 +215,9 @@ def _row(line: Line, seeds: Sequence[Found]) -> Cells:
     cells.comparable = all(map(_comparable, results)) and not any(one.changed for one in there)
     cells.differences = list(dict.fromkeys(why for one in results for why in one["data"].get("not_comparable", [])))
     cells.evaluated = list(dict.fromkeys(
-        f"{result['engine']}, window {result['window_s']:g} s, version {result['commit'][:7]}" for result in results
+        ", ".join(filter(None, [result["engine"], f"window {result['window_s']:g} s",
+                                INERTIA.get(result["data"].get("inertia")), f"version {result['commit'][:7]}"]))
+        for result in results
     ))  # fmt: skip
     if len(seeds) > 1:
         cells.seeds = {one.seed: dict(_summary(one.rows, one.results[0]).mean_over_objects) for one in there}

@@ -17,7 +17,8 @@ from dgrasp.rl.run.weights import read_weights
 def checkpoint_of(epoch: int, success: float | None) -> Checkpoint:
     model = ActorCritic(5, 3, [4], 1.0, torch.Generator().manual_seed(epoch), actor_size=5)
     plain = Config().model_dump(mode="json")
-    return Checkpoint(epoch, model.state_dict(), {}, 1e-3, model.architecture(), plain, {}, "0", success)
+    data = {"inertia": "official"}
+    return Checkpoint(epoch, model.state_dict(), {}, 1e-3, model.architecture(), plain, data, "0", success)
 
 
 @pytest.mark.parametrize(
@@ -40,6 +41,7 @@ def test_the_best_checkpoint_or_the_last(
     out = tmp_path / "mine.safetensors"
     assert main(["publish", str(tmp_path), "--out", str(out), *words]) == 0
     shown = capsys.readouterr().out
+    assert "trained on unknown labels with the authors' inertia of 1 kg m2; " in shown
     assert read_weights(out)[1]["epoch"] == taken and f"({taken} epochs" in shown
     assert (said in shown) if said else shown.startswith("wrote ")
 

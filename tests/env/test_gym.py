@@ -46,6 +46,7 @@ def test_an_episode_ends_by_truncation_and_names_its_reward_terms(env):
         _, reward, terminated, truncated, info = env.step(np.zeros(51, np.float32))
         assert not terminated and truncated == (t == STEPS - 1)
         assert sum(info["reward_terms"].values()) == pytest.approx(reward, abs=1e-5)
+        assert info["inertia"] == "true"
 
 
 def test_vector_env_restarts_in_the_same_step():
@@ -91,7 +92,7 @@ def test_labels_repeat_where_there_are_more_environments():
     venv = GraspVectorEnv(3, overrides=words)
     observation, info = venv.reset(seed=0)
     assert info["label"][0] == info["label"][2] != info["label"][1]
-    assert info["object"].tolist() == ["004_sugar_box"] * 3
+    assert info["object"].tolist() == ["004_sugar_box"] * 3 and info["inertia"].tolist() == ["true"] * 3
     # The same grasp, from another start.
     assert not np.array_equal(observation[0], observation[2])
     venv.close()

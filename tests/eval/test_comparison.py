@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -10,12 +11,14 @@ import pytest
 
 from dgrasp.config.experiment import make_config
 from dgrasp.data import DataChoice
+from dgrasp.eval import output
 from dgrasp.eval.comparison import data_stamp, differences
+from dgrasp.eval.summary import summarise
 from dgrasp.hand.store import HandSource
 from dgrasp.labels.load import LabelSet
 from dgrasp.methods import PdBaseline, PolicyMethod, StaticGrasp
 from tests.methods.test_trained import policy
-from tests.scenes import LAYOUT
+from tests.scenes import LAYOUT, free_hand, make_label
 
 PATH = Path("dexycb_train_labels.pkl")
 CHOICE = DataChoice(
@@ -28,9 +31,17 @@ TRAINED = {"hand": "mano_mean", "labels": "dexycb_train_labels.pkl", "split": "t
            "comparable_with_paper": True}  # fmt: skip
 
 
-def said(values: dict[str, Any] | None = None, trained: dict[str, Any] | None = None, choice: DataChoice = CHOICE
-         ) -> list[str]:
-    method = PdBaseline() if trained is None else PolicyMethod(policy(), trained)
+SUGAR, CAN = "004_sugar_box", "005_tomato_soup_can"
+
+
+def with_objects(*names: str) -> DataChoice:
+    labels = [make_label(free_hand(), object_id=name) for name in names]
+    return replace(CHOICE, labels=replace(CHOICE.labels, labels=labels))
+
+
+def said(values: dict[str, Any] | None = None, trained: dict[str, Any] | None = None, choice: DataChoice = CHOICE,
+         objects: Collection[str] = ()) -> list[str]:
+    method = PdBaseline() if trained is None else PolicyMethod(policy(), trained, objects)
     return differences(method, make_config(values or {}), choice)
 
 
@@ -91,3 +102,32 @@ def test_other_data_and_then_the_policy() -> None:
     assert said(trained=TRAINED | {"hand": "claw"}, choice=other)[1] == (
         "the policy was trained for the hand claw, not mano_mean"
     )
+
+
+def test_the_paper_tests_on_the_objects_that_it_trains_on() -> None:
+    for objects in ((), ("004", CAN), ("seen_2",)):
+        assert said(trained=TRAINED, choice=with_objects(SUGAR, CAN), objects=objects) == []
+    expected = f"the policy was not trained on {CAN}, and the paper has no such test"
+    # seen_4 has the sugar box; the paper's fourth set does not have these two.
+    for objects in ((SUGAR,), ("my_vase", "3")):
+        assert said(trained=TRAINED, choice=with_objects(SUGAR, CAN), objects=objects) == [expected]
+    static = StaticGrasp(PolicyMethod(policy(), TRAINED, (SUGAR,)))
+    assert differences(static, make_config({}), with_objects(SUGAR, CAN)) == [expected]
+    stamp = data_stamp(static, make_config({}), with_objects(SUGAR, CAN))
+    assert stamp["not_comparable"] == [expected] and stamp["unseen_objects"] == [CAN]
+    assert "unseen_objects" not in data_stamp(PdBaseline(), make_config({}), with_objects(SUGAR, CAN))
+
+
+def test_the_papers_sets_of_unseen_objects_have_a_table_of_their_own() -> None:
+    method = PolicyMethod(policy(), TRAINED, ("seen_1",))
+    stamp = data_stamp(method, make_config({}), with_objects(SUGAR, CAN))
+    assert stamp["comparable_with_paper"] and stamp["unseen_objects"] == [SUGAR, CAN]
+    row = {"index": 0, "success": 1.0}
+    result = summarise([{"object": SUGAR, **row}, {"object": CAN, **row}], method="policy", engine="e", window_s=5.0,
+                       seed=1, data=stamp, cost={})
+    assert result.paper is None and result.correlation_with_paper is None
+    assert output.notices(result) == [f"the policy was not trained on {SUGAR}, {CAN}; {output.UNSEEN_TABLE}"]
+    # Together with objects that it was trained on, or of another set, it is no test of the paper's.
+    for names in ((SUGAR, "025_mug"), ("025_mug", "003_cracker_box")):
+        stamp = data_stamp(method, make_config({}), with_objects(*names))
+        assert stamp["comparable_with_paper"] is (SUGAR not in names)

@@ -60,7 +60,8 @@ def sequence(mano: dict[str, Any] | None = None, **changes: Any) -> StoredSequen
     """The episode with the other contents of a stored sequence."""
     about = {
         "method": "gt_pd", "engine": "pybullet", "window_s": 5 * DT, "timestep_s": 0.00222, "code": "test",
-        "data": {"labels": "free_train.npz", "licence": "MIT"}, "table": {"top_m": 0.5, "lowered_m": 0.25},
+        "data": {"labels": "free_train.npz", "licence": "MIT", "inertia": "true"},
+        "table": {"top_m": 0.5, "lowered_m": 0.25},
         "row": {"object": "004_sugar_box", "index": 0, "success": True}, "mano": mano,
     }  # fmt: skip
     return StoredSequence(episode(**changes), meshes(), MANO_NAMES, about)

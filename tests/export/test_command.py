@@ -126,6 +126,7 @@ def test_view_writes_a_page_and_opens_it(
     text = page.split('id="replay-data">')[1].split("</script>")[0]
     (replay,) = json.loads(text)["replays"]
     assert (replay["object"], replay["index"], replay["n"]) == ("004_sugar_box", 0, 8)
+    assert "The objects have true inertia." in page
     assert "Sequences 1" in page and "http" not in page.replace("http-equiv", "").replace("http://www.w3.org", "")
     file, out = tmp_path / "in" / "004_sugar_box_0000.npz", tmp_path / "one.html"
     assert run_command("view", [str(file), "--out", str(out), "--no-browser"]) == 0

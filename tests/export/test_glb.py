@@ -127,6 +127,7 @@ def test_a_motion_keeps_the_table_of_its_grasp() -> None:
     document = Parsed(glb_bytes(sequence(T_WG=standing(np.eye(4), STEPS)))).document
     assert all(c["target"]["node"] != 17 for c in document["animations"][0]["channels"])
     assert document["asset"]["extras"]["table_gone_s"] is None
+    assert document["asset"]["extras"]["inertia"] == "true"
 
 
 def test_a_table_that_is_gone_from_the_start_does_not_move() -> None:

@@ -58,6 +58,13 @@ def measured(*labels: GraspLabel) -> list[Finding]:
     return [measure_labels([one], HAND, Cube(), {"box": BOX})[0] for one in labels]
 
 
+def test_help_says_that_nothing_is_simulated(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        main(["labels", "check", "--help"])
+    shown = capsys.readouterr().out
+    assert "nothing is simulated" in shown and "--engine E" not in shown
+
+
 def test_penetration_and_distance_by_hand() -> None:
     # The box ends at x = 20 mm. A cube around 25 mm reaches from 15 to 35: 5 x 20 x 20 mm inside. Around 40 mm: 10 mm
     # away. Around (50, 70, 0): 20 mm in x and 30 mm in y.

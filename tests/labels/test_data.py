@@ -6,7 +6,7 @@ import json
 import re
 import shutil
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +22,7 @@ from dgrasp.files import paths
 from dgrasp.hand.mano.layout import MANO_NAMES
 from dgrasp.labels.formats.native import write_native
 from dgrasp.labels.sources import SOURCES, DataKind, LabelSource
+from dgrasp.objects.store import StoredObject
 from tests.labels.files import dexycb_content, dump, make_labels, static_content
 from tests.reference import reference_or_skip
 
@@ -133,6 +134,9 @@ def test_inertia_follows_the_data(tmp_path: Path) -> None:
     assert physics.authors_inertia(released=True) and not physics.authors_inertia(released=False)
     assert which_inertia([True, True]) == "official" and which_inertia([False]) == "true"
     assert which_inertia([True, False]) == "mixed"
+    assert choice.inertia_of("my_vase") == choice.inertia == "true"
+    mixed = replace(choice, inertia="mixed", added={"my_vase": StoredObject(tmp_path, "0")})
+    assert (mixed.inertia_of("my_vase"), mixed.inertia_of("004_sugar_box")) == ("true", "official")
 
 
 def test_choice_of_objects_and_limit(tmp_path: Path) -> None:

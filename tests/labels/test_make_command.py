@@ -2,15 +2,23 @@
 
 from __future__ import annotations
 
+import multiprocessing
+import os
+import signal
+import time
 from concurrent.futures import Future
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 
 from dgrasp.cli import run_command
 from dgrasp.commands import labels_make as make_command
 from dgrasp.labels.formats.native import read_native_with_meta
+from dgrasp.synthesis import progress
+from dgrasp.synthesis.progress import MakingProgress
 from dgrasp.types import GraspLabel
+from raisim_like.engines import default_engine
 from tests.scenes import free_hand, make_label
 
 BRICK = "061_foam_brick"
@@ -62,8 +70,10 @@ def test_the_command_writes_both_splits(
     assert meta["provenance"]["per_object"][BRICK]["held"] == 1 and "cpu_s" not in str(meta)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["set_test.npz", "set_train.npz"]
     assert meta["provenance"]["inertia"] == "true"
-    shown = capsys.readouterr().out
-    assert "best quarter" in shown and "; true inertia" in shown
+    first, *shown = capsys.readouterr().out.splitlines()
+    assert first == ("making 3 labels, 3 per object: 061_foam_brick; hand free, engine "
+                     f"{default_engine()}, workers 1; true inertia")
+    assert "best quarter" in shown[0] and "; true inertia" in shown[1]
 
 
 def test_a_stopped_run_goes_on(
@@ -98,6 +108,30 @@ def test_a_stopped_run_goes_on(
     labels, meta = read_native_with_meta(out)
     assert [label.object_id for label in labels] == ["009_gelatin_box"] * 3 + ["061_foam_brick"] * 3
     assert meta["provenance"]["per_object"]["061_foam_brick"]["held"] == 0.125
+
+
+def sleep(task, index) -> None:
+    """In the place of a synthesis that takes minutes."""
+    make_command._shares[index] = 0.5
+    time.sleep(20)
+    Path(os.environ["ENDED"]).touch()
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_an_interruption_ends_the_processes(tmp_path, monkeypatch: pytest.MonkeyPatch, capsys, number: int) -> None:
+    class Interrupting(MakingProgress):
+        def show(self) -> None:
+            if any(self._shares):
+                os.kill(os.getpid(), number)
+            super().show()
+
+    monkeypatch.setattr(progress, "MakingProgress", Interrupting)
+    monkeypatch.setattr(make_command, "_make", sleep)
+    monkeypatch.setenv("ENDED", str(tmp_path / "ended"))
+    words = ["--objects", "061", "009", "--number", "3", "--out", str(tmp_path / "a.npz"), "--workers", "1"]
+    assert run_command("labels make", words) == 130
+    assert capsys.readouterr().err == "interrupted\n"
+    assert multiprocessing.active_children() == [] and list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize(

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
+from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
 from dgrasp.config.sections import ActionConfig, PhysicsConfig
@@ -90,6 +91,67 @@ def test_a_hull_stays_on_a_narrow_face(
     world.integrate(round(5.0 / DT))
     turned = Rotation.from_quat(body.state[[4, 5, 6, 3]]) * Rotation.from_quat(start[[4, 5, 6, 3]]).inv()
     assert np.linalg.norm(body.state[:3] - start[:3]) < 1e-3 and np.degrees(turned.magnitude()) < 1.0
+    world.close()
+
+
+def hull_of(path: Path, mesh: trimesh.Trimesh, z: float = 0.0) -> Shape:
+    """The hull of a mesh, moved along z, with all digits: a face of four corners must stay flat."""
+    moved = mesh.vertices + np.array([0.0, 0.0, z])
+    path.write_text("".join(f"v {x!r} {y!r} {z!r}\n" for x, y, z in moved.tolist())
+                    + "".join("f {} {} {}\n".format(*face) for face in (mesh.faces + 1).tolist()))
+    return Shape("hull", file=path)
+
+
+def on_a_side(points: Array, center: Array) -> tuple[Rotation, float]:
+    """Turn and height of the origin that lay a body of revolution (N, 3) about z on the side face nearest below it."""
+    faces = ConvexHull(points).equations
+    sides = faces[np.abs(faces[:, 2]) < 0.9]
+    # Of all tangents to the side, a body rests on the one that is nearest to the centre of mass.
+    normal = sides[np.argmin(-(sides[:, :3] @ center + sides[:, 3])), :3]
+    turn = Rotation.align_vectors([[0, 0, -1]], [normal])[0]
+    return turn, float(-turn.apply(points)[:, 2].min())
+
+
+@pytest.mark.parametrize("preset", ["faithful", "fast"])
+@pytest.mark.parametrize(("mass", "friction"), [(0.06, 0.1), (1.0, 0.8)])
+def test_dumb_bells_and_cones_stay_in_their_resting_poses(
+    engine: str, preset: Preset, mass: float, friction: float, tmp_path: Path
+) -> None:
+    """Poses are those of the convex hull. A dumb-bell whose ends differ lies askew, here by atan(5 / 100)."""
+    world = World(engine, DT, preset)
+    world.set_default_material(friction)
+    world.add_ground()
+    bodies = []
+
+    def lay(shapes: list[Shape], inertia: Array, center: Array, turn: Rotation, height: float) -> None:
+        body = world.add_body(shapes, mass, inertia, center)
+        body.set_state((0.3, len(bodies), height), wxyz(Rotation.from_euler("z", 0.4 + len(bodies)) * turn))
+        bodies.append((body, body.state))
+
+    # Two discs of 15 mm, of radii 20 and 15 mm, at 50 mm below and above the origin.
+    wide, narrow, low, high = 0.02, 0.015, np.array([0, 0, -0.05]), np.array([0, 0, 0.05])
+    share = wide**2 / (wide**2 + narrow**2)
+    center = share * low + (1 - share) * high
+    inertia = sum(solid_cylinder(r, 0.015, m) + m * (at - center)[2] ** 2 * np.diag([1, 1, 0])
+                  for r, m, at in ((wide, share * mass, low), (narrow, (1 - share) * mass, high)))
+    askew = np.arctan(0.05)
+    lay([Shape("cylinder", (r, 0.015), (0, 0, z)) for r, z in ((wide, -0.05), (narrow, 0.05))], inertia, center,
+        Rotation.from_euler("y", np.pi / 2 + askew), (wide - 0.05 * 0.0425) * np.cos(askew))
+    for sides in (16, 32):
+        discs = [trimesh.creation.cylinder(r, 0.015, sections=sides) for r in (wide, narrow)]
+        shapes = [hull_of(tmp_path / f"{sides}_{z}.obj", disc, z) for disc, z in zip(discs, (-0.05, 0.05), strict=True)]
+        points = np.concatenate([discs[0].vertices + low, discs[1].vertices + high])
+        lay(shapes, inertia, center, *on_a_side(points, center))
+    for sides in (16, 64):
+        cone = trimesh.creation.cone(0.03, 0.1, sections=sides)
+        cone.density = mass / cone.volume
+        turn, height = on_a_side(cone.vertices, cone.center_mass)
+        lay([hull_of(tmp_path / f"cone_{sides}.obj", cone)], cone.moment_inertia, cone.center_mass, turn, height)
+    world.integrate(round(5.0 / DT))
+    for body, start in bodies:
+        turned = Rotation.from_quat(body.state[[4, 5, 6, 3]]) * Rotation.from_quat(start[[4, 5, 6, 3]]).inv()
+        assert np.linalg.norm(body.state[:3] - start[:3]) < 1e-3, body.id
+        assert np.degrees(turned.magnitude()) < 1.0, body.id
     world.close()
 
 

@@ -43,6 +43,27 @@ def _table(name: str, folder: Path, runs: Path, *words: str) -> list[dict[str, A
     return rows
 
 
+@pytest.mark.parametrize("table", ["grasp", "ablation"])
+def test_a_table_without_data_is_refused(table: str, tmp_path: Path, capsys) -> None:
+    """The rows of the ablation need trainings, which the table would list for data that does not exist."""
+    assert run_command("test", ["--table", table, "--data", str(tmp_path / "no"), "--runs", str(tmp_path / "r")]) == 2
+    shown = capsys.readouterr()
+    assert shown.err.startswith("error: data: no folder ") and shown.err.count("\n") == 1
+    assert shown.out == "" and not (tmp_path / "r").exists()
+
+
+def test_a_table_in_which_no_evaluation_was_possible_is_an_error(folder: Path, tmp_path: Path, capsys) -> None:
+    """A table that only lacks trainings is none: it says how to train them."""
+    words = ["--data", str(folder), "--runs", str(tmp_path), "hand=claw"]
+    assert run_command("test", ["--table", "grasp", *words]) == 2
+    shown = capsys.readouterr()
+    assert shown.err.startswith("error: --table grasp: no evaluation was possible; the first that failed is dexycb "
+                                "train, GT+PD: hand: ")
+    assert "missing (" in shown.out and (tmp_path / "grasp.json").is_file()
+    assert run_command("test", ["--table", "ablation", *words[:-1]]) == 0
+    assert "missing (" in capsys.readouterr().out
+
+
 def test_the_papers_numbers_stand_in_every_row() -> None:
     grasp, motion, ablation, unseen, scope = plans("all")
     assert [*(plan.name for plan in (grasp, motion, ablation, unseen, scope)), "recipe"] == list(NAMES)
@@ -166,6 +187,7 @@ def test_seeds_are_trained_apart_and_averaged(
     # A method without training is evaluated once for all seeds.
     baseline = _table("grasp", folder, tmp_path, "--seeds", "3,5")[0]
     assert (baseline["n"], baseline["seeds"]) == (2, {})
+    assert baseline["evaluated"][0].startswith(f"{default_engine()}, window 0.06 s, true inertia, version ")
 
 
 @pytest.mark.parametrize("words", [

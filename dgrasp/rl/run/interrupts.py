@@ -25,8 +25,20 @@ class Interrupted(Exception):
         self.checkpoint, self.epoch, self.preempted = checkpoint, epoch, preempted
 
 
+_received: type[KeyboardInterrupt] | None = None
+"""What `_interrupt` has raised since the last `interruptible` ended."""
+
+
 def _interrupt(number: int, frame: FrameType | None) -> None:
-    raise Preempted if number == signal.SIGTERM else KeyboardInterrupt
+    global _received
+    _received = Preempted if number == signal.SIGTERM else KeyboardInterrupt
+    raise _received
+
+
+def check_interrupted() -> None:
+    """Raise an interruption again that a library has swallowed, as trimesh does while it imports SciPy."""
+    if _received is not None:
+        raise _received
 
 
 @contextlib.contextmanager
@@ -44,12 +56,20 @@ def _handling(handler: Any) -> Iterator[None]:
             signal.signal(number, signal.SIG_DFL if old is None else old)
 
 
-def interruptible() -> contextlib.AbstractContextManager[None]:
+@contextlib.contextmanager
+def interruptible() -> Iterator[None]:
     """Make SIGINT raise KeyboardInterrupt and SIGTERM raise `Preempted`.
 
-    This also applies to a background job, which would otherwise ignore SIGINT from its start.
+    This also applies to a background job, which would otherwise ignore SIGINT from its start. Long work within calls
+    `check_interrupted` now and then.
     """
-    return _handling(_interrupt)
+    global _received
+    check_interrupted()
+    try:
+        with _handling(_interrupt):
+            yield
+    finally:
+        _received = None
 
 
 def uninterruptible() -> contextlib.AbstractContextManager[None]:

@@ -35,6 +35,13 @@ class SavedPolicy:
         return env if isinstance(env, dict) else {}
 
     @property
+    def objects(self) -> list[str]:
+        """The `labels.objects` of that config: the names or sets of the objects; empty for all."""
+        labels = self.config.get("labels")
+        named = labels.get("objects") if isinstance(labels, dict) else None
+        return [str(name) for name in named] if isinstance(named, list) else []
+
+    @property
     def task(self) -> str:
         """The `env.task` that it was trained for."""
         return str(self.env.get("task", "grasp"))
