@@ -2,17 +2,11 @@
 
 from __future__ import annotations
 
-import os
-
 from dgrasp.config.experiment import Config
 from dgrasp.errors import ConfigError
 from dgrasp.pool.base import Pool, PoolError, PoolSpec, WorkerLost
+from dgrasp.rl.cores import cores
 from raisim_like.engines import steps_in_threads
-
-
-def cores() -> int:
-    """Cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def pool_kind(config: Config) -> str:

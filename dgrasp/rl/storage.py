@@ -66,8 +66,8 @@ class Rollout:
         self.rewards = self._tensor(t.reward)
         self.terminated, self.truncated = self._tensor(t.terminated), self._tensor(t.truncated)
         with torch.no_grad():
-            said = model.evaluate(self.observations, self.actions)
-            self.means, self.values, self.log_probs = said.mean, said.value, said.log_prob
+            said = model.density(self.observations, self.actions)
+            self.means, self.log_probs, self.values = said.mean, said.log_prob, model.value(self.observations)
             self.last_values = model.value(self._tensor(t.last_observation))
             finals = model.value(self._tensor(t.final_observations).flatten(0, 1)).view(-1, self.rewards.shape[1])
         # The k-th truncated episode of an environment ends at the step where its running count of truncations is k.
