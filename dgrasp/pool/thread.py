@@ -18,17 +18,13 @@ import numpy as np
 from dgrasp.control.motion import Fingers
 from dgrasp.env.grasp_env import GraspEnv, Mode
 from dgrasp.pool.balance import BALANCE_AFTER, costs, worthwhile
-from dgrasp.pool.base import POLL_S, PoolSpec, SizedPool, make_env
+from dgrasp.pool.base import POLL_S, PoolSpec, SizedPool, Stopped, make_env
 from dgrasp.rl.collect import Actor, Incident, Trajectories, collect
 from dgrasp.rl.step import Step
 from dgrasp.scene.state import copy_state, state_views
 from dgrasp.types import Array
 
 T = TypeVar("T")
-
-
-class _Stopped(Exception):
-    """The pool has ended the collection."""
 
 
 class ThreadPool(SizedPool):
@@ -101,7 +97,7 @@ class ThreadPool(SizedPool):
             self._stop = True
             wait(jobs)
         for error in (job.exception() for job in jobs):
-            if error is not None and not isinstance(error, _Stopped):
+            if error is not None and not isinstance(error, Stopped):
                 raise error
         for job in jobs:
             self._incidents += job.result()
@@ -112,7 +108,7 @@ class ThreadPool(SizedPool):
         def advance(steps: int) -> None:
             counts[w] += steps
             if self._stop:
-                raise _Stopped
+                raise Stopped
 
         return collect(self._envs[w], actor, epoch, self._envs[w].indices, out, advance)
 
