@@ -1,4 +1,5 @@
-# Each target makes .venv first, and updates it only if pyproject.toml, setup.py or constraints.txt has changed.
+# Each target makes .venv first, and updates it only if pyproject.toml, setup.py, the part in C or constraints.txt has
+# changed.
 #   PYTHON=/path/to/python3.11     the Python that makes .venv
 #   PIP_FLAGS="--index-url URL"    further options for every pip install
 PYTHON ?= python3.11 python3.10 python3.12 python3.13 python3.14 python3 python
@@ -30,10 +31,10 @@ test: .venv/.installed-dev
 	PYTHONDONTWRITEBYTECODE= OMP_NUM_THREADS=1 $(PY) -m pytest -q -n 2 --dist loadfile --no-loadscope-reorder
 
 clean:
-	rm -rf .venv build dist dgrasp.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	rm -rf .venv build dist dgrasp.egg-info raisim_like/engines/mujoco/_sliding.* .pytest_cache .mypy_cache .ruff_cache .hypothesis
 	find . -name __pycache__ -prune -exec rm -rf {} +
 
-.venv/.installed: pyproject.toml setup.py constraints.txt
+.venv/.installed: pyproject.toml setup.py raisim_like/engines/mujoco/sliding.c constraints.txt
 	@$(PY) -c 'import pip; $(FITS)' 2>/dev/null || { \
 	  for python in $(PYTHON); do \
 	    if "$$python" -c '$(FITS)' >/dev/null 2>&1; then \
@@ -48,7 +49,7 @@ clean:
 	  $(PIP) "torch==$$torch+cpu" 2>/dev/null || \
 	    echo "setup: no CPU build of torch found; the default build may download gigabytes of CUDA (see PIP_FLAGS)"; \
 	fi; \
-	$(PIP) torch setuptools
+	$(PIP) torch setuptools mujoco
 	@echo "setup: dgrasp and its other dependencies"
 	@$(PIP) --no-build-isolation --editable .
 	@touch $@

@@ -16,7 +16,7 @@ from pathlib import Path
 import torch
 
 from dgrasp.build import build_pool
-from dgrasp.config.experiment import load_config
+from dgrasp.config.experiment import find_config, load_config
 from dgrasp.data import resolve
 from dgrasp.rl.runner import Runner
 
@@ -24,6 +24,7 @@ from dgrasp.rl.runner import Runner
 def main() -> None:
     """Print one row per number of workers, and the speed-up over the first."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--cfg", type=Path, help="the recipe; without it, the defaults")
     parser.add_argument("--workers", default="1,2", metavar="N,N,...", help="numbers of workers to compare")
     parser.add_argument("--epochs", type=int, default=2, help="epochs per row; the first, a warm-up, is left out")
     parser.add_argument("overrides", nargs="*", metavar="key=value")
@@ -32,7 +33,7 @@ def main() -> None:
     print(f"{'workers':>7} {'steps/s':>9} {'physics':>8} {'update':>7} {'ratio':>6}")
     for workers in map(int, arguments.workers.split(",")):
         config = load_config(
-            None,
+            find_config(arguments.cfg) if arguments.cfg else None,
             [
                 *arguments.overrides, f"pool.workers={workers}", f"ppo.epochs={arguments.epochs}",
                 "checkpoint.every=1000",

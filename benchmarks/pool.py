@@ -1,61 +1,72 @@
-"""Overhead of the process pool over the engine: `python -m benchmarks.pool data=DIR engine=mujoco`.
+"""Pools beside each other: `python -m benchmarks.pool --workers 2 --cfg cfg/fast.yaml data=DIR engine=mujoco`.
 
-A pool of one worker and no pool at all take turns to collect the same epochs, equal to the bit, with an untrained
-policy. The overhead is the extra time of the worker's epoch divided by the seconds inside the engine's step. All times
-are the minimum over turns, because other work on the machine can only add time.
+No pool, threads and processes take turns to collect the same epochs, equal to the bit, with an untrained policy. A row
+gives the control steps per second of a pool's fastest turn, because other work on the machine can only slow it down,
+the share of that turn inside the engine's step, and the speed relative to no pool.
 """
 
 from __future__ import annotations
 
 import argparse
 import time
+from pathlib import Path
 
-import numpy as np
 import torch
 
 from dgrasp.build import build_spec
-from dgrasp.config.experiment import load_config
+from dgrasp.config.experiment import find_config, load_config
 from dgrasp.data import resolve
+from dgrasp.pool import Pool
 from dgrasp.pool.process import ProcessPool
 from dgrasp.pool.serial import SerialPool
+from dgrasp.pool.thread import ThreadPool
 from dgrasp.rl.networks import ActorCritic
 from dgrasp.rl.runner import epoch_generator
+from raisim_like.engines import steps_in_threads
 
 
 def main() -> None:
-    """Print the seconds of an epoch with and without the pool, and the overhead."""
+    """Print a row for each pool."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--turns", type=int, default=3, help="epochs of each; the first, a warm-up, is left out")
+    parser.add_argument("--cfg", type=Path, help="the recipe; without it, the defaults")
+    parser.add_argument("--workers", type=int, default=2, help="threads and processes, besides one of each")
+    parser.add_argument("--turns", type=int, default=3, help="epochs of each pool; the first, a warm-up, is left out")
     parser.add_argument("--steps", type=int, default=60, help="control steps of an epoch")
     parser.add_argument("overrides", nargs="*", metavar="key=value", help="config keys; data=DIR for real labels")
     arguments = parser.parse_intermixed_args()
     torch.set_num_threads(1)
-    config = load_config(None, arguments.overrides)
+    config = load_config(find_config(arguments.cfg) if arguments.cfg else None, arguments.overrides)
     spec = build_spec(resolve(config), config)
-    alone, pool = SerialPool(spec), ProcessPool(spec, 1)
-    generator = epoch_generator(config.seed, 0)
+    counts = sorted({1, arguments.workers})
+    pools: dict[str, Pool] = {"no pool": SerialPool(spec)}
+    if steps_in_threads(config.engine):
+        pools |= {f"thread, {n}": ThreadPool(spec, n) for n in counts}
+    pools |= {f"process, {n}": ProcessPool(spec, n) for n in counts}
+    alone = pools["no pool"]
     actor = ActorCritic(
-        alone.observation_size, alone.action_size, config.ppo.hidden, config.ppo.initial_std, generator,
-        alone.actor_size, config.ppo.output_gain,
+        alone.observation_size, alone.action_size, config.ppo.hidden, config.ppo.initial_std,
+        epoch_generator(config.seed, 0), alone.actor_size, config.ppo.output_gain,
     ).actor_arrays(config.seed)  # fmt: skip
-    seconds: dict[str, list[float]] = {"no pool": [], "one worker": []}
-    physics = []
+    best: dict[str, tuple[float, float]] = dict.fromkeys(pools, (0.0, 0.0))
     print(f"{len(spec.labels)} environments, {arguments.steps} control steps, {config.engine}")
     for epoch in range(1, arguments.turns + 1):
-        made = []
-        for name, each in (("no pool", alone), ("one worker", pool)):
+        reference = b""
+        for name, pool in pools.items():
+            made: list[int] = []
             start = time.perf_counter()
-            made.append(each.collect(actor, epoch, arguments.steps, lambda steps: None))
-            seconds[name].append(time.perf_counter() - start)
-            print(f"epoch {epoch}, {name:<11} {seconds[name][-1]:8.2f} s", flush=True)
-        physics.append(alone.timing()["physics_s"])
-        assert np.array_equal(made[0].observations, made[1].observations)
-    pool.close()
-    alone.close()
-    without, with_pool = (min(values[1:]) for values in seconds.values())
-    least = min(physics[1:])
-    print(f"engine's step {least:.2f} s, no pool {without:.2f} s, one worker {with_pool:.2f} s: "
-          f"overhead {(with_pool - without) / least:+.3f} of the engine's time")
+            experience = pool.collect(actor, epoch, arguments.steps, made.append)
+            speed = sum(made) / (time.perf_counter() - start)
+            seen = experience.observations.tobytes() + experience.reward.tobytes()
+            reference = reference or seen
+            assert seen == reference, name
+            print(f"epoch {epoch}, {name:<11} {speed:9.1f} control steps/s", flush=True)
+            if epoch > 1:
+                best[name] = max(best[name], (speed, pool.timing()["physics_share"]))
+    for pool in pools.values():
+        pool.close()
+    print(f"{'pool':<11} {'steps/s':>9} {'physics':>8} {'ratio':>6}")
+    for name, (speed, physics) in best.items():
+        print(f"{name:<11} {speed:>9.1f} {physics:>8.3f} {speed / best['no pool'][0]:>6.2f}")
 
 
 if __name__ == "__main__":

@@ -10,6 +10,7 @@ import subprocess
 import sys
 import zipfile
 from email import message_from_string
+from importlib.machinery import EXTENSION_SUFFIXES
 from pathlib import Path
 
 import pytest
@@ -101,7 +102,8 @@ def test_the_bundle_is_the_configurations_and_the_free_set(contents: dict[str, b
 def test_nothing_else_is_in_the_wheel(contents: dict[str, bytes]) -> None:
     carried = {"dgrasp/eval/paper_tables.yaml", *(f"dgrasp/report/{name}" for name in PAGE)}
     assert carried <= set(contents)
-    others = {name for name in contents if not name.endswith(".py") and not name.startswith(BUNDLED)}
+    others = {name for name in contents if not name.endswith((".py", *EXTENSION_SUFFIXES))}
+    others = {name for name in others if not name.startswith(BUNDLED)}
     assert {name for name in others if ".dist-info/" not in name} == carried
     assert b"junk" not in contents.values()
 

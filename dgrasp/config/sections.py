@@ -269,12 +269,14 @@ class PpoConfig(Section):
 class PoolConfig(Section):
     """Where the environments run.
 
-    workers: null takes as many as there are cores. hang_s: seconds without a control step after which a worker counts
-    as hung and is replaced. For "ray" only: address of the cluster (auto, HOST:PORT; null starts one on this machine);
-    patience: a worker is left behind once it takes this many times as long as the median of those that have finished.
+    kind: "auto" takes threads of this process on MuJoCo (if its part in C was built) and processes on PyBullet.
+    workers: null takes as many as there are cores. hang_s: seconds without a control step after which a worker process
+    counts as hung and is replaced. For "ray" only: address of the cluster (auto, HOST:PORT; null starts one on this
+    machine); patience: a worker is left behind once it takes this many times as long as the median of those that have
+    finished.
     """
 
-    kind: Literal["process", "serial", "ray"] = "process"
+    kind: Literal["auto", "thread", "process", "serial", "ray"] = "auto"
     workers: Annotated[int, Field(ge=1, le=100_000)] | None = None
     hang_s: Annotated[float, Field(gt=0, le=1e6)] = 120.0
     address: str | None = None

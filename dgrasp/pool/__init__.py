@@ -1,30 +1,41 @@
-"""Pools that run environments. `serial` is the reference; tests check that `process` equals it to the bit."""
+"""Pools that run environments. `serial` is the reference; tests check that the others equal it to the bit."""
 
 from __future__ import annotations
 
-import os
-
+from dgrasp.config.experiment import Config
+from dgrasp.errors import ConfigError
 from dgrasp.pool.base import Pool, PoolError, PoolSpec, WorkerLost
+from dgrasp.rl.cores import cores
+from raisim_like.engines import steps_in_threads
 
 
-def cores() -> int:
-    """Cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+def pool_kind(config: Config) -> str:
+    """The kind of pool that `auto` stands for: threads where the engine steps in parallel threads, else processes."""
+    if config.pool.kind == "thread" and config.engine == "pybullet":
+        raise ConfigError("pool.kind: PyBullet cannot step worlds in threads; expected auto, process or serial")
+    if config.pool.kind != "auto":
+        return config.pool.kind
+    return "thread" if steps_in_threads(config.engine) else "process"
 
 
 def make_pool(spec: PoolSpec) -> Pool:
-    """The pool that the config names; `workers: null` means one worker per core (`process`) or CPU (`ray`)."""
-    if spec.config.pool.kind == "serial":
+    """The pool that the config names; `workers: null` means one worker per core, on Ray one per CPU of the cluster."""
+    kind, workers = pool_kind(spec.config), spec.config.pool.workers or cores()
+    if kind == "serial":
         from dgrasp.pool.serial import SerialPool
 
         return SerialPool(spec)
-    if spec.config.pool.kind == "ray":
+    if kind == "ray":
         from dgrasp.pool.ray import RayPool
 
         return RayPool(spec)
+    if kind == "thread":
+        from dgrasp.pool.thread import ThreadPool
+
+        return ThreadPool(spec, workers)
     from dgrasp.pool.process import ProcessPool
 
-    return ProcessPool(spec, spec.config.pool.workers or cores())
+    return ProcessPool(spec, workers)
 
 
-__all__ = ["Pool", "PoolError", "PoolSpec", "WorkerLost", "cores", "make_pool"]
+__all__ = ["Pool", "PoolError", "PoolSpec", "WorkerLost", "cores", "make_pool", "pool_kind"]

@@ -8,6 +8,11 @@ import numpy as np
 
 from dgrasp.types import Array
 
+BALANCE_AFTER = (1, 10, 100)
+"""Numbers of collections after which costs are compared; grasps cost more as the policy learns to make them."""
+WORTH_MOVING = 0.03
+"""Imbalance that a new division must save, as a fraction of the mean load; it rebuilds all worlds."""
+
 
 def costs(seconds: Array, steps: Array) -> Array:
     """(N,) seconds per control step of each environment; the mean of the others for those that have made no step.
@@ -42,3 +47,9 @@ def imbalance(cost: Array, rows: list[slice]) -> float:
     """
     loads = np.array([cost[part].sum() for part in rows])
     return float(loads.max() / loads.mean() - 1.0)
+
+
+def worthwhile(cost: Array, rows: list[slice]) -> list[slice] | None:
+    """A better division of the set than `rows`; None if the gain is not worth making all worlds anew."""
+    better = stretches(cost, len(rows))
+    return better if imbalance(cost, rows) - imbalance(cost, better) >= WORTH_MOVING else None

@@ -41,6 +41,10 @@ class WorkerLost(DGraspError):
         self.exit_code = exit_code
 
 
+class Stopped(Exception):
+    """The pool has ended a collection; workers raise this between two control steps."""
+
+
 @dataclass(frozen=True)
 class PoolSpec:
     """The specification of a pool, which has one environment per label.

@@ -28,18 +28,13 @@ import numpy as np
 
 from dgrasp.control.motion import Fingers
 from dgrasp.env.grasp_env import Mode
-from dgrasp.pool.balance import costs, imbalance, stretches
+from dgrasp.pool.balance import BALANCE_AFTER, costs, worthwhile
 from dgrasp.pool.base import LOSSES_IN_A_ROW, POLL_S, PoolError, PoolSpec, SizedPool, WorkerLost
 from dgrasp.pool.starting import check_main, lost_at_start, single_threaded
 from dgrasp.pool.worker import FAILED, QUIT, STEP, Shared, Told, shared_arrays, work
 from dgrasp.rl.collect import Actor, Trajectories
 from dgrasp.rl.step import Layout, Step
 from dgrasp.types import Array
-
-BALANCE_AFTER = (1, 10, 100)
-"""Numbers of collections after which costs are compared; grasps cost more as the policy learns to make them."""
-WORTH_MOVING = 0.03
-"""Imbalance that a new division must save, as a fraction of the mean load; it rebuilds all worlds."""
 
 
 @dataclass
@@ -147,9 +142,8 @@ class ProcessPool(SizedPool):
 
     def _balance(self) -> None:
         """Divide the environments again if the measured costs make it worthwhile."""
-        cost = costs(*self._spent)
-        rows = stretches(cost, self._workers)
-        if imbalance(cost, self._rows) - imbalance(cost, rows) < WORTH_MOVING:
+        rows = worthwhile(costs(*self._spent), self._rows)
+        if rows is None:
             return
         self._rows = rows
         for w in range(self._workers):

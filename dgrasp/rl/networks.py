@@ -17,11 +17,10 @@ from dgrasp.types import Array
 _LOG_2PI = math.log(2.0 * math.pi)
 
 
-class Evaluated(NamedTuple):
-    """The model's present outputs for B old actions: log_prob, value (B,), mean (B, A), std (A,), entropy ()."""
+class Density(NamedTuple):
+    """The policy's present density of old actions: log_prob (...,), mean (..., A), std (A,), entropy ()."""
 
     log_prob: Tensor
-    value: Tensor
     mean: Tensor
     std: Tensor
     entropy: Tensor
@@ -101,15 +100,14 @@ class ActorCritic(nn.Module):
         """The present policy as arrays, for collecting experience. seed: seed of the exploration noise."""
         return Actor(_layers(self.actor), _copy(self.std), seed)
 
-    def evaluate(self, observation: Tensor, action: Tensor) -> Evaluated:
-        """Evaluate actions (B, A) taken at observations (B, O), with gradients."""
+    def density(self, observation: Tensor, action: Tensor) -> Density:
+        """The density of actions (..., A) taken at observations (..., O), with gradients. The critic takes no part."""
         mean = self.actor(observation[..., : self.actor_size])
         entropy = self.std.log().sum() + 0.5 * self.action_size * (1.0 + _LOG_2PI)
-        log_prob = gaussian_log_prob(action, mean, self.std)
-        return Evaluated(log_prob, self.value(observation), mean, self.std, entropy)
+        return Density(gaussian_log_prob(action, mean, self.std), mean, self.std, entropy)
 
     def value(self, observation: Tensor) -> Tensor:
-        """Values (N,) of observations (N, O)."""
+        """Values (...,) of observations (..., O), with gradients. The actor takes no part."""
         value: Tensor = self.critic(observation).squeeze(-1)
         return value * self.return_scale[1] + self.return_scale[0]
 

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
+from concurrent.futures import Executor, ThreadPoolExecutor
+from contextlib import contextmanager
 
 import torch
 from torch import Tensor, nn
@@ -10,6 +13,7 @@ from torch import Tensor, nn
 from dgrasp.config.sections import PpoConfig
 from dgrasp.errors import DataError
 from dgrasp.rl.adam import Adam
+from dgrasp.rl.cores import cores
 from dgrasp.rl.networks import ActorCritic
 from dgrasp.rl.storage import Minibatch, Rollout
 
@@ -70,7 +74,9 @@ class Ppo:
 
     def __init__(self, model: ActorCritic, config: PpoConfig) -> None:
         self.model, self.config = model, config
-        self.optimizer = Adam(model.parameters(), lr=config.learning_rate)
+        # One kernel updates all parameters, where the device has it.
+        fused = model.std.device.type in ("cpu", "cuda")
+        self.optimizer = Adam(model.parameters(), lr=config.learning_rate, fused=fused)
 
     @property
     def learning_rate(self) -> float:
@@ -95,9 +101,10 @@ class Ppo:
         # Nothing has changed the standard deviation since the rollout was collected.
         old_std = self.model.std.detach().clone()
         rows = []
-        for _ in range(self.config.update_epochs):
-            for batch in rollout.minibatches(self.config.minibatches, generator if self.config.shuffle else None):
-                rows.append(self._step(batch, old_std))
+        with self._second_thread() as second:
+            for _ in range(self.config.update_epochs):
+                for batch in rollout.minibatches(self.config.minibatches, generator if self.config.shuffle else None):
+                    rows.append(self._step(batch, old_std, second))
         # As in the authors' code, the floor is applied after the whole update.
         self.model.floor_std(max(self.config.min_std, _SMALLEST_STD))
         for name in rows[0]:
@@ -106,47 +113,72 @@ class Ppo:
         statistics["action_std"] = self.model.std.mean().item()
         return {name: statistics[name] for name in STATISTICS}
 
-    def _step(self, batch: Minibatch, old_std: Tensor) -> dict[str, float]:
+    @contextmanager
+    def _second_thread(self) -> Iterator[Executor | None]:
+        """A thread in which the critic learns beside the actor; None on one core, and on a GPU.
+
+        The networks share no parameters, so the result is the same to the bit.
+        """
+        if self.model.std.device.type != "cpu" or cores() == 1:
+            yield None
+            return
+        # A new thread would take torch's default number of threads of its own.
+        with ThreadPoolExecutor(1, "dgrasp-critic", torch.set_num_threads, (torch.get_num_threads(),)) as second:
+            yield second
+
+    def _step(self, batch: Minibatch, old_std: Tensor, second: Executor | None) -> dict[str, float]:
+        self.optimizer.zero_grad()
+        if second is None:
+            of_value = self._critic_backward(batch)
+            row = self._actor_backward(batch, old_std)
+        else:
+            critic = second.submit(self._critic_backward, batch)
+            row = self._actor_backward(batch, old_std)
+            of_value = critic.result()
+        grad_norm = self._clip_gradients()
+        if not math.isfinite(grad_norm):
+            raise DataError(
+                f"the gradient of the PPO loss is not finite (surrogate loss {row['surrogate_loss']:g}, value loss "
+                f"{of_value:g}, KL {row['kl']:g}, learning rate {self.learning_rate:g}); resume the last checkpoint "
+                "with a smaller ppo.max_learning_rate"
+            )
+        self.optimizer.step()
+        # An optimiser step can make a small standard deviation negative, where its logarithm is undefined.
+        self.model.floor_std(_SMALLEST_STD)
+        return {**row, "value_loss": of_value, "grad_norm": grad_norm}
+
+    def _actor_backward(self, batch: Minibatch, old_std: Tensor) -> dict[str, float]:
+        """Adapt the learning rate and compute the gradient of the actor's loss; return the actor's `STATISTICS`."""
         config = self.config
-        now = self.model.evaluate(batch.observations, batch.actions)
+        now = self.model.density(batch.observations, batch.actions)
         with torch.no_grad():
             kl = gaussian_kl(batch.means, old_std, now.mean, now.std).mean().item()
         if config.adaptive_learning_rate:
             self.learning_rate = adapted_learning_rate(self.learning_rate, kl, config)
-
         ratio = (now.log_prob - batch.log_probs).exp()
         advantages = batch.advantages
         if config.advantages_per_minibatch:
             advantages = (advantages - advantages.mean()) / (advantages.std() + 1e-8)
         surrogate = surrogate_loss(ratio, advantages, config.clip)
-        # The critic's own unit: that of the returns unless they are normalised.
-        unit = self.model.return_scale[1]
-        of_value = value_loss(
-            now.value / unit, batch.values / unit, batch.returns / unit,
-            config.clip if config.clipped_value_loss else None,
-        )  # fmt: skip
-        loss = surrogate + config.value_coefficient * of_value - config.entropy_coefficient * now.entropy
-
-        self.optimizer.zero_grad()
-        loss.backward()
-        grad_norm = self._clip_gradients()
-        if not math.isfinite(grad_norm):
-            raise DataError(
-                f"the gradient of the PPO loss is not finite (loss {loss.item():g}, KL {kl:g}, learning rate "
-                f"{self.learning_rate:g}); resume the last checkpoint with a smaller ppo.max_learning_rate"
-            )
-        self.optimizer.step()
-        # An optimiser step can make a small standard deviation negative, where its logarithm is undefined.
-        self.model.floor_std(_SMALLEST_STD)
+        (surrogate - config.entropy_coefficient * now.entropy).backward()
         return {
             "surrogate_loss": surrogate.item(),
-            "value_loss": of_value.item(),
             "entropy": now.entropy.item(),
             "kl": kl,
             "clip_fraction": ((ratio - 1.0).abs() > config.clip).float().mean().item(),
-            "grad_norm": grad_norm,
         }
 
+    def _critic_backward(self, batch: Minibatch) -> float:
+        """Compute the gradient of the critic's loss; return the loss without its coefficient."""
+        config = self.config
+        # The critic's own unit: that of the returns unless they are normalised.
+        unit = self.model.return_scale[1]
+        loss = value_loss(
+            self.model.value(batch.observations) / unit, batch.values / unit, batch.returns / unit,
+            config.clip if config.clipped_value_loss else None,
+        )  # fmt: skip
+        (config.value_coefficient * loss).backward()
+        return loss.item()
 
     def _clip_gradients(self) -> float:
         """Limit the norm of the gradient and return the norm before.

@@ -65,12 +65,9 @@ class Rollout:
         self.observations, self.actions = self._tensor(t.observations), self._tensor(t.actions)
         self.rewards = self._tensor(t.reward)
         self.terminated, self.truncated = self._tensor(t.terminated), self._tensor(t.truncated)
-        self.means = torch.empty_like(self.actions)
-        self.values, self.log_probs = torch.empty_like(self.rewards), torch.empty_like(self.rewards)
         with torch.no_grad():
-            for step, (observation, action) in enumerate(zip(self.observations, self.actions, strict=True)):
-                said = model.evaluate(observation, action)
-                self.means[step], self.values[step], self.log_probs[step] = said.mean, said.value, said.log_prob
+            said = model.density(self.observations, self.actions)
+            self.means, self.log_probs, self.values = said.mean, said.log_prob, model.value(self.observations)
             self.last_values = model.value(self._tensor(t.last_observation))
             finals = model.value(self._tensor(t.final_observations).flatten(0, 1)).view(-1, self.rewards.shape[1])
         # The k-th truncated episode of an environment ends at the step where its running count of truncations is k.

@@ -44,3 +44,12 @@ def make_engine(name: str) -> Engine:
     if name not in ENGINES:
         raise EngineError(f"unknown engine {name!r}; expected one of {', '.join(ENGINES)}")
     return ENGINES[name]()
+
+
+def steps_in_threads(name: str) -> bool:
+    """Whether threads of one process can step worlds of this engine side by side."""
+    if name != "mujoco":
+        return False
+    from raisim_like.engines.mujoco.sliding import native
+
+    return native()

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import signal
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,31 +12,10 @@ from dgrasp.env.grasp_env import GraspEnv
 from dgrasp.pool import PoolError, WorkerLost, make_pool
 from dgrasp.pool.process import ProcessPool
 from dgrasp.pool.serial import SerialPool
-from dgrasp.rl.collect import Actor
 from dgrasp.scene.worlds import Worlds
 from tests.pool.mortal import Mortal
+from tests.pool.runs import EPISODE, SHORT, random_actor, run
 from tests.scenes import make_spec
-
-STEPS = 6
-EPISODE = 24
-"""Control steps. The hands touch the boxes from the seventh on."""
-SHORT = [f"env.episode_steps={EPISODE}", "env.grasp_steps=20"]
-
-
-def _run(pool, mode="train"):
-    """All results of a pool over a few random steps; in a test, the table is taken away halfway."""
-    rng = np.random.default_rng(7)
-    said = [pool.reset(3, mode).copy()]
-    for t in range(STEPS):
-        if mode == "test" and t == STEPS // 2:
-            pool.remove_table()
-        step = pool.step(rng.normal(size=(pool.num_envs, 51)).astype(np.float32))
-        # Only ended episodes have a final observation.
-        final = step.final_observation[step.terminated | step.truncated]
-        said += [np.array(part) for part in vars(replace(step, final_observation=final)).values()]
-        if mode == "test":
-            said += [pool.state.gc.copy(), pool.state.joints_W.copy(), pool.state.table_contact.copy()]
-    return said
 
 
 @pytest.fixture(scope="module")
@@ -65,25 +43,19 @@ def mortal():
 
 def test_process_pool_equals_serial_to_the_bit(serial, parallel):
     for mode in ("train", "test"):
-        for ours, reference in zip(_run(parallel, mode), _run(serial, mode), strict=True):
+        for ours, reference in zip(run(parallel, mode), run(serial, mode), strict=True):
             assert ours.tobytes() == np.ascontiguousarray(reference).tobytes()
 
 
-def _actor(seed=5):
-    rng = np.random.default_rng(0)
-    layer = (rng.normal(size=(51, 279)).astype(np.float32) / 50, rng.normal(size=51).astype(np.float32))
-    return Actor((layer,), np.full(51, 0.5, np.float32), seed)
-
-
 def test_collecting_is_the_same_to_the_bit_however_the_labels_are_divided(serial, parallel):
-    reference = {k: v.copy() for k, v in vars(serial.collect(_actor(), 4, EPISODE, lambda n: None)).items()}
+    reference = {k: v.copy() for k, v in vars(serial.collect(random_actor(), 4, EPISODE, lambda n: None)).items()}
     assert reference["truncated"][-1].all() and reference["truncated"].sum() == 3
     # The last observation of the episode is not the first of the next.
     assert not np.array_equal(reference["final_observations"][0], reference["last_observation"])
     told = []
-    parallel.collect(_actor(), 1, EPISODE, told.append)
+    parallel.collect(random_actor(), 1, EPISODE, told.append)
     assert sum(told) == 3 * EPISODE
-    for name, array in vars(parallel.collect(_actor(), 4, EPISODE, told.append)).items():
+    for name, array in vars(parallel.collect(random_actor(), 4, EPISODE, told.append)).items():
         assert array.tobytes() == reference[name].tobytes(), name
     assert 0.0 < parallel.timing()["physics_share"] < 1.0
 
@@ -95,17 +67,17 @@ def test_an_interrupted_collection_leaves_the_pool_usable(serial, parallel):
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        parallel.collect(_actor(), 1, EPISODE, interrupt)
-    observation = parallel.collect(_actor(), 4, EPISODE, lambda n: None).last_observation
-    assert np.array_equal(observation, serial.collect(_actor(), 4, EPISODE, lambda n: None).last_observation)
+        parallel.collect(random_actor(), 1, EPISODE, interrupt)
+    observation = parallel.collect(random_actor(), 4, EPISODE, lambda n: None).last_observation
+    assert np.array_equal(observation, serial.collect(random_actor(), 4, EPISODE, lambda n: None).last_observation)
 
 
 @pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGSTOP])
 def test_a_lost_worker_is_replaced_and_its_experience_dropped(serial, mortal, how):
     """One worker is killed, or stopped so that it hangs; the experience of the other worker does not change."""
-    reference = {k: v.copy() for k, v in vars(serial.collect(_actor(), 4, EPISODE, lambda n: None)).items()}
+    reference = {k: v.copy() for k, v in vars(serial.collect(random_actor(), 4, EPISODE, lambda n: None)).items()}
     lost_before = mortal.timing()["lost_workers"]
-    t = mortal.collect(Mortal(**vars(_actor()), how=how), 4, EPISODE, lambda n: None)
+    t = mortal.collect(Mortal(**vars(random_actor()), how=how), 4, EPISODE, lambda n: None)
     kept = np.flatnonzero(t.valid)
     assert len(kept) == 2
     for name, array in vars(t.valid_part()).items():
@@ -114,18 +86,21 @@ def test_a_lost_worker_is_replaced_and_its_experience_dropped(serial, mortal, ho
     assert mortal.timing()["lost_workers"] == lost_before + 1.0
     (event,) = mortal.drain_events()
     assert ("died (exit code -9)" if how == signal.SIGKILL else "hung") in event and "dropped" in event
-    again = mortal.collect(_actor(), 4, EPISODE, lambda n: None)
+    again = mortal.collect(random_actor(), 4, EPISODE, lambda n: None)
     assert all(np.array_equal(array, reference[name]) for name, array in vars(again).items())
 
 
 def test_a_worker_lost_between_steps_says_so_and_is_there_again(serial, mortal):
     """Three losses, as in a long test, with only resets and steps in between: not three in a row."""
     expected = serial.reset(3).copy()
-    for _ in range(3):
-        assert np.array_equal(mortal.reset(3), expected)
+    for mode in ("train", "train", "test"):
+        observation = mortal.reset(3, mode)
+        assert np.array_equal(observation, expected) == (mode == "train")
         mortal.step(np.zeros((3, 51), np.float32))
         os.kill(mortal._members[1].process.pid, signal.SIGKILL)
         with pytest.raises(WorkerLost, match=r"worker 1 died \(exit code -9\)"):
+            if mode == "test":
+                mortal.remove_table()
             for _ in range(100):
                 mortal.step(np.zeros((3, 51), np.float32))
     assert np.array_equal(mortal.reset(3), expected)
@@ -138,7 +113,7 @@ def test_a_worker_that_never_lives_is_given_up(monkeypatch):
         monkeypatch.setattr("dgrasp.pool.process.work", os._exit)
         os.kill(pool._members[0].process.pid, signal.SIGKILL)
         with pytest.raises(PoolError, match="worker 0 was lost 3 times in a row"):
-            pool.collect(_actor(), 1, 195, lambda steps: None)
+            pool.collect(random_actor(), 1, 195, lambda steps: None)
     finally:
         pool.close()
 
@@ -157,7 +132,7 @@ def test_a_broken_episode_can_be_played_again(monkeypatch):
         return np.array([False, steps == 20])
 
     monkeypatch.setattr(Worlds, "exploded", explode)
-    pool.collect(_actor(), 4, EPISODE, lambda n: None)
+    pool.collect(random_actor(), 4, EPISODE, lambda n: None)
     (incident,) = pool.drain_incidents()
     assert (incident.env, incident.epoch, incident.actions.shape) == (1, 4, (20, 51))
     assert pool.drain_incidents() == [] and "unstable" in pool.drain_events()[0]
@@ -174,21 +149,21 @@ def test_a_broken_episode_can_be_played_again(monkeypatch):
 
 
 def test_an_epoch_depends_on_nothing_before_it(serial):
-    first = _run(serial)
-    _run(serial, "test")
+    first = run(serial)
+    run(serial, "test")
     serial.reset(9, "label")
     for _ in range(30):
         serial.step(np.zeros((3, 51), np.float32))
-    again = _run(serial)
+    again = run(serial)
     fresh_pool = SerialPool(make_spec(3, SHORT))
-    fresh = _run(fresh_pool)
+    fresh = run(fresh_pool)
     fresh_pool.close()
     for a, b, c in zip(first, again, fresh, strict=True):
         assert np.array_equal(a, b) and np.array_equal(a, c)
 
 
 def test_timing_counts_physics(serial):
-    _run(serial)
+    run(serial)
     timing = serial.timing()
     assert 0.0 < timing["physics_s"] <= timing["wall_s"]
     assert timing["physics_share"] == pytest.approx(timing["physics_s"] / timing["wall_s"], rel=0.2)

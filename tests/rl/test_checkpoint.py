@@ -26,8 +26,8 @@ def _trained(seed: int = 0) -> tuple[ActorCritic, torch.optim.Adam]:
     optimizer = torch.optim.Adam(model.parameters(), lr=3e-4)
     for _ in range(3):
         optimizer.zero_grad()
-        now = model.evaluate(torch.ones(4, 5), torch.zeros(4, 2))
-        (now.value.sum() - now.log_prob.sum()).backward()
+        now = model.density(torch.ones(4, 5), torch.zeros(4, 2))
+        (model.value(torch.ones(4, 5)).sum() - now.log_prob.sum()).backward()
         optimizer.step()
     return model, optimizer
 

@@ -63,11 +63,11 @@ def test_log_prob_and_entropy_agree_with_torch() -> None:
         model.std.copy_(torch.tensor([0.3, 1.0, 2.0]))
     observation = torch.linspace(-1.0, 1.0, 18).reshape(2, 9)
     action = torch.tensor([[0.5, -1.0, 2.0], [0.0, 0.1, -3.0]])
-    now = model.evaluate(observation, action)
+    now = model.density(observation, action)
     normal = torch.distributions.Normal(now.mean, now.std)
     assert torch.allclose(now.log_prob, normal.log_prob(action).sum(-1), atol=1e-5)
     assert torch.allclose(now.entropy, normal.entropy().sum(-1)[0], atol=1e-6)
-    assert torch.equal(now.mean, model.mean_action(observation)) and now.value.shape == (2,)
+    assert torch.equal(now.mean, model.mean_action(observation)) and model.value(observation).shape == (2,)
 
 
 def test_the_actor_in_numpy_is_the_same_policy() -> None:

@@ -172,6 +172,29 @@ def test_in_order_update_needs_no_randomness() -> None:
     assert torch.equal(results[0], results[1])
 
 
+@pytest.mark.parametrize("separate", [False, True])
+def test_actor_and_critic_side_by_side_learn_as_one_after_the_other(
+    monkeypatch: pytest.MonkeyPatch, separate: bool
+) -> None:
+    results = []
+    for count in (1, 2):
+        monkeypatch.setattr("dgrasp.rl.ppo.cores", lambda count=count: count)
+        ppo, rollout = _setup(hidden=[128, 128], separate_clipping=separate, max_grad_norm=0.1)
+        with ppo._second_thread() as second:
+            assert (second is None) == (count == 1)
+        statistics = ppo.update(rollout, torch.Generator().manual_seed(0))
+        results.append((torch.nn.utils.parameters_to_vector(ppo.model.parameters()).tolist(), statistics))
+    assert results[0] == results[1]
+
+
+def test_an_error_of_the_critic_beside_the_actor_arrives(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("dgrasp.rl.ppo.cores", lambda: 2)
+    ppo, rollout = _setup()
+    monkeypatch.setattr(ppo, "_critic_backward", lambda batch: 1 / 0)
+    with pytest.raises(ZeroDivisionError):
+        ppo.update(rollout, torch.Generator().manual_seed(0))
+
+
 def test_gradient_that_is_not_finite_is_refused() -> None:
     ppo, rollout = _setup()
     before = torch.nn.utils.parameters_to_vector(ppo.model.parameters()).clone()

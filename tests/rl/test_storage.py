@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from dgrasp.rl.collect import Trajectories
-from dgrasp.rl.networks import Evaluated
+from dgrasp.rl.networks import Density
 from dgrasp.rl.storage import Rollout, generalised_advantages
 
 CPU = torch.device("cpu")
@@ -15,8 +15,8 @@ CPU = torch.device("cpu")
 class _Model:
     """A model whose value of an observation is the observation itself, and which ignores actions."""
 
-    def evaluate(self, observation: torch.Tensor, action: torch.Tensor) -> Evaluated:
-        return Evaluated(torch.zeros(len(action)), self.value(observation), action, action[0], torch.zeros(()))
+    def density(self, observation: torch.Tensor, action: torch.Tensor) -> Density:
+        return Density(torch.zeros(action.shape[:-1]), action, action[0], torch.zeros(()))
 
     def value(self, observation: torch.Tensor) -> torch.Tensor:
         return observation[..., 0]

@@ -1,4 +1,4 @@
-"""A world's bodies as a MuJoCo model, built in memory, with the solver's settings (docs/physics.md)."""
+"""A world's bodies as a specification of MuJoCo, with the solver's settings (docs/physics.md)."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from raisim_like.batch import Preset
 from raisim_like.engines.body_frame import BodyFrame
 from raisim_like.engines.floors import LIGHT_INERTIA, MIN_MASS
 from raisim_like.engines.mujoco.collision import chains, collision_bits
-from raisim_like.engines.mujoco.ties import add_ties, tie_solref
+from raisim_like.engines.mujoco.sliding import MARK
+from raisim_like.engines.mujoco.ties import add_ties
 from raisim_like.engines.protocol import Array
-from raisim_like.errors import EngineError
 from raisim_like.material import MaterialTable
 from raisim_like.rotations import quaternion_from_matrix
 from raisim_like.shapes import Shape
@@ -66,6 +66,11 @@ class Drive:
     def __init__(self, dof: int) -> None:
         self.kp, self.kd, self.target, self.feed_forward = np.zeros((4, dof))
 
+    def copy(self, other: Drive) -> None:
+        """Take over the values of another drive of the same system."""
+        for name, array in vars(self).items():
+            array[:] = getattr(other, name)
+
 
 @dataclass
 class System:
@@ -82,72 +87,7 @@ class System:
 Item = Solid | System
 
 
-@dataclass(frozen=True)
-class Slot:
-    """Where a body is in MuJoCo's arrays: qpos, qvel, joints, moving bodies, mocap bodies (-1 for a free body)."""
-
-    q: slice
-    v: slice
-    joints: slice
-    bodies: slice
-    mocap: int
-
-
-class BuiltModel:
-    """A compiled model with its data, and where each body is in them.
-
-    owner, link: (ngeom,) body id and moving-link index (-1 for none) of each geom.
-    """
-
-    def __init__(
-        self, items: Mapping[int, Item], materials: MaterialTable, timestep: float, gravity: Array, preset: Preset
-    ) -> None:
-        maker = _Maker(items, materials, timestep, gravity, preset)
-        try:
-            self.model = maker.spec.compile()
-        except ValueError as error:
-            raise EngineError(f"MuJoCo refused a body: {' '.join(str(error).split())}") from None
-        self.data = mj.MjData(self.model)
-        owner, link = np.full(self.model.nbody, -1), np.full(self.model.nbody, -1)
-        self.slots: dict[int, Slot] = {}
-        for body, elements in maker.elements.items():
-            ids = [element.id for element in elements]
-            self.slots[body] = self._slot(ids)
-            owner[ids], link[ids] = body, range(-1, len(ids) - 1)
-        self.owner, self.link = owner[self.model.geom_bodyid], link[self.model.geom_bodyid]
-
-    def _slot(self, ids: list[int]) -> Slot:
-        m = self.model
-        first, stop = ids[0], ids[-1] + 1
-        mocap = int(m.body_mocapid[first])
-        moving = first + 1 if mocap >= 0 else first
-        if moving == stop:
-            return Slot(slice(0), slice(0), slice(0), slice(0), mocap)
-        joint, v = int(m.body_jntadr[moving]), int(m.body_dofadr[moving])
-        q, n = int(m.jnt_qposadr[joint]), stop - moving
-        if mocap < 0:
-            return Slot(slice(q, q + 7), slice(v, v + 6), slice(joint, joint + 1), slice(moving, stop), mocap)
-        return Slot(slice(q, q + n), slice(v, v + n), slice(joint, joint + n), slice(moving, stop), mocap)
-
-    def set_timestep(self, timestep: float) -> None:
-        """Change the timestep and everything that depends on it except the gains."""
-        m = self.model
-        m.opt.timestep = timestep
-        for solref in (m.geom_solref, m.jnt_solref, m.pair_solref):
-            solref[:] = _solref(timestep)
-        m.eq_solref[:] = tie_solref(timestep)
-
-    def set_gains(self, slot: Slot, item: System) -> None:
-        """Set a system's PD control: springs and dampers in the joints, and the armature that makes them implicit."""
-        m, dt = self.model, self.model.opt.timestep
-        D = item.drive.kd + item.urdf.joint_damping + dt * item.drive.kp
-        m.jnt_stiffness[slot.joints] = item.drive.kp
-        m.dof_damping[slot.v], m.dof_armature[slot.v] = D, dt * D
-        # Contact hardness is relative to inertias that MuJoCo computes here. It overwrites the data it is given.
-        mj.mj_setConst(m, mj.MjData(m))
-
-
-class _Maker:
+class ModelMaker:
     """Fills an MjSpec; `elements` holds the MjSpec bodies of each body id, an articulated system's base first."""
 
     def __init__(
@@ -156,6 +96,7 @@ class _Maker:
         self.items, self.materials = items, materials
         self.spec = mj.MjSpec()
         self.spec.compiler.degree = False
+        self.spec.add_numeric(name=MARK, data=[1.0])
         option = self.spec.option
         option.timestep, option.gravity, option.tolerance = timestep, gravity, TOLERANCE[preset]
         # Fingers couple only through palm and object, so this is a third faster than dense, with the same solution.
@@ -167,7 +108,7 @@ class _Maker:
         if any(isinstance(item, Solid) and item.may_roll for item in items.values()):
             option.ccd_tolerance = CYLINDER_TOLERANCE
         # No spring, and a damper that stops the approach within one step: inelastic, without error reduction.
-        self.solref, self.solimp = _solref(timestep), [IMPEDANCE, IMPEDANCE, 0.001, 0.5, 2.0]
+        self.solref, self.solimp = solref(timestep), [IMPEDANCE, IMPEDANCE, 0.001, 0.5, 2.0]
         self.bits = collision_bits(
             {body: item.mask for body, item in items.items()},
             {body: item.self_collision for body, item in items.items() if isinstance(item, System)},
@@ -299,7 +240,7 @@ class _Maker:
         ]
 
 
-def _solref(timestep: float) -> list[float]:
+def solref(timestep: float) -> list[float]:
     """No spring, and a damper that stops an approach within one step."""
     return [0.0, -1.0 / timestep]
 

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import mujoco as mj
 import numpy as np
 
-from raisim_like.engines.mujoco.model import BuiltModel, Drive, Slot
+from raisim_like.engines.mujoco.built import BuiltModel, Slot
+from raisim_like.engines.mujoco.model import Drive
 from raisim_like.engines.pending import Pending
 from raisim_like.engines.protocol import Array
 
@@ -61,6 +62,12 @@ def begin_pending(built: BuiltModel, pending: Pending, share: float) -> None:
         built.data.xfrc_applied[built.slots[body].bodies] = share * wrench.ravel()
     for body, extra in pending.generalized.items():
         built.data.qfrc_applied[built.slots[body].v] += share * extra
+
+
+def end_pending(built: BuiltModel) -> None:
+    """Leave only the feed-forward of each system in the data."""
+    built.data.xfrc_applied[:] = 0.0
+    built.write_forces()
 
 
 @dataclass

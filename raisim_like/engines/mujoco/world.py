@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import sys
 import time
 from collections.abc import Sequence
@@ -14,8 +13,10 @@ from raisim_like.batch import Preset
 from raisim_like.contact import Contact
 from raisim_like.engines.body_frame import BodyFrame
 from raisim_like.engines.mujoco import state as mujoco_state
-from raisim_like.engines.mujoco.contacts import SlidingContacts, contacts_of, pair_forces
-from raisim_like.engines.mujoco.model import BuiltModel, Drive, Item, Solid, System
+from raisim_like.engines.mujoco.built import BuiltModel
+from raisim_like.engines.mujoco.contacts import contacts_of, pair_forces
+from raisim_like.engines.mujoco.model import Drive, Item, Solid, System
+from raisim_like.engines.mujoco.sliding import advance
 from raisim_like.engines.pending import Pending
 from raisim_like.engines.protocol import Array, EngineWorld, engine_steps
 from raisim_like.errors import EngineError
@@ -50,7 +51,6 @@ class MujocoWorld:
         self._gravity: Array = np.zeros(3)
         self._materials = MaterialTable()
         self._built: BuiltModel | None = None
-        self._sliding: SlidingContacts
         self._stale = True
         self._pending = Pending()
 
@@ -116,7 +116,6 @@ class MujocoWorld:
         if old is not None:
             mujoco_state.carry_over(old, new)
         self._built, self._stale = new, False
-        self._sliding = SlidingContacts(new, self._materials.default_friction)
         return new
 
     def set_body_state(self, body: int, state: Array) -> None:
@@ -183,47 +182,34 @@ class MujocoWorld:
     def forget_contacts(self) -> None:
         mujoco_state.forget_contacts(self._ready())
 
-    def _steps(self, substeps: int) -> int:
+    def _steps(self, built: BuiltModel, substeps: int) -> int:
         """The number of engine steps that make up `substeps` timesteps; sets the model to their length."""
         steps, length = engine_steps(substeps, self.timestep, self.preset)
-        built = self._ready()
-        if built.model.opt.timestep != length:
+        if built.length != length:
             built.set_timestep(length)
-            self._sliding.set_timestep(length)
             for body, system in self.systems.items():
                 built.set_gains(built.slots[body], system)
         return steps
 
     def step(self, substeps: int) -> None:
         """Advance by `substeps` timesteps under the current targets and forces."""
-        built, steps = self._ready(), self._steps(substeps)
-        length = built.model.opt.timestep
-        for body, system in self.systems.items():
-            built.model.qpos_spring[built.slots[body].q] = system.drive.target
-        self._write_forces(built)
-        pushed = bool(self._pending) and substeps > 0
-        if pushed:
-            mujoco_state.begin_pending(built, self._pending, self.timestep / length)
-        keep_closed = self._sliding.keep_closed
+        built = self._ready()
+        steps = self._steps(built, substeps)
+        for drive, spring, _ in built.drives:
+            spring[:] = drive.target
+        built.write_forces()
         start = time.perf_counter()
-        # A world that breaks computes with NaN, which its owner sees in the state.
-        with np.errstate(all="ignore"):
-            for _ in range(steps):
-                mj.mj_step1(built.model, built.data)
-                keep_closed()
-                mj.mj_step2(built.model, built.data)
-                if pushed:
-                    pushed, self._pending = False, Pending()
-                    built.data.xfrc_applied[:] = 0.0
-                    self._write_forces(built)
+        if self._pending and substeps > 0:
+            mujoco_state.begin_pending(built, self._pending, self.timestep / built.length)
+            advance(built.model, built.data, 1)
+            mujoco_state.end_pending(built)
+            self._pending, steps = Pending(), steps - 1
+        advance(built.model, built.data, steps)
         self.step_seconds += time.perf_counter() - start
 
-    def _write_forces(self, built: BuiltModel) -> None:
-        for body, system in self.systems.items():
-            built.data.qfrc_applied[built.slots[body].v] = system.drive.feed_forward
-
     def bare_step(self, substeps: int) -> float:
-        built, steps = self._ready(), self._steps(substeps)
+        built = self._ready()
+        steps = self._steps(built, substeps)
         start = time.perf_counter()
         mj.mj_step(built.model, built.data, nstep=steps)
         return time.perf_counter() - start
@@ -237,7 +223,7 @@ class MujocoWorld:
         if built is not snapshot.built:
             raise EngineError("bodies were added or removed, or materials were changed, since the snapshot was taken")
         for body, system in self.systems.items():
-            system.drive = copy.deepcopy(snapshot.drives[body])
+            system.drive.copy(snapshot.drives[body])
             built.set_gains(built.slots[body], system)
         mj.mj_copyData(built.data, built.model, snapshot.data)
         self._pending = snapshot.pending.copy()
