@@ -19,7 +19,6 @@ from dgrasp.data import resolve
 from dgrasp.pool import Pool
 from dgrasp.pool.process import ProcessPool
 from dgrasp.pool.serial import SerialPool
-from dgrasp.pool.thread import ThreadPool
 from dgrasp.rl.networks import ActorCritic
 from dgrasp.rl.runner import epoch_generator
 from raisim_like.engines import steps_in_threads
@@ -29,7 +28,7 @@ def main() -> None:
     """Print a row for each pool."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--cfg", type=Path, help="the recipe; without it, the defaults")
-    parser.add_argument("--workers", type=int, default=2, help="threads and processes, besides one of each")
+    parser.add_argument("--workers", type=int, default=2, help="threads and processes, besides one process")
     parser.add_argument("--turns", type=int, default=3, help="epochs of each pool; the first, a warm-up, is left out")
     parser.add_argument("--steps", type=int, default=60, help="control steps of an epoch")
     parser.add_argument("overrides", nargs="*", metavar="key=value", help="config keys; data=DIR for real labels")
@@ -40,7 +39,7 @@ def main() -> None:
     counts = sorted({1, arguments.workers})
     pools: dict[str, Pool] = {"no pool": SerialPool(spec)}
     if steps_in_threads(config.engine):
-        pools |= {f"thread, {n}": ThreadPool(spec, n) for n in counts}
+        pools |= {f"thread, {n}": SerialPool(spec, n) for n in counts if n > 1}
     pools |= {f"process, {n}": ProcessPool(spec, n) for n in counts}
     alone = pools["no pool"]
     actor = ActorCritic(
