@@ -16,7 +16,7 @@ import numpy as np
 from dgrasp.control.motion import Fingers
 from dgrasp.env.grasp_env import GraspEnv, Mode
 from dgrasp.hand.layout import HandLayout
-from dgrasp.pool.base import PoolError, PoolSpec, Stopped, make_env
+from dgrasp.pool.base import PoolError, PoolSpec, make_env
 from dgrasp.rl.collect import Actor, Incident, Trajectories, collect
 from dgrasp.rl.step import Layout, Step
 from dgrasp.scene.state import copy_state, state_size, state_views
@@ -25,6 +25,10 @@ from dgrasp.types import Array, SceneState
 OK, FAILED = b"k", b"e"
 """First byte of an answer; after FAILED comes the traceback."""
 STEP, QUIT = b"s", b"q"
+
+
+class _Stopped(Exception):
+    """The main process has asked to end the collection."""
 
 
 def shared_arrays(layout: Layout, name: str | None = None) -> tuple[SharedMemory, dict[str, Array]]:
@@ -150,13 +154,13 @@ class Worker:
             self._memory, arrays = shared_arrays(layout, memory)
             self._trajectories = Trajectories(**arrays).part(self._rows)
         assert self._trajectories is not None
-        with suppress(Stopped):
+        with suppress(_Stopped):
             self._incidents += collect(self.env, actor, epoch, self.env.indices, self._trajectories, self._advance)
 
     def _advance(self, steps: int) -> None:
         self._shared.counts[self._w] += steps
         if self._shared.stop[0]:
-            raise Stopped
+            raise _Stopped
 
     def tell(self) -> Told:
         told = Told(self.env.seconds_per_env, self.env.steps_made, self.env.events, self._incidents)
