@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from raisim_like.engines import ENGINES
+from raisim_like.registry import BATCHES
 
 LONG = (
     "pool/test_pools.py", "raisim_like/test_rest.py", "commands/test_runs.py", "labels/test_fuzz.py",
@@ -23,9 +24,17 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     items.sort(key=lambda item: _PLACES.get(item.path, len(LONG)))
 
 
+@pytest.fixture(params=BATCHES)
+def any_engine(request: pytest.FixtureRequest) -> str:
+    """Name of a physics engine, engines that only know batches included."""
+    name: str = request.param
+    pytest.importorskip({"warp": "mujoco_warp"}.get(name, name))
+    return name
+
+
 @pytest.fixture(params=ENGINES)
 def engine(request: pytest.FixtureRequest) -> str:
-    """Name of a physics engine."""
+    """Name of a physics engine of single worlds."""
     name: str = request.param
     pytest.importorskip(name)
     return name
