@@ -39,7 +39,7 @@ BATCHES: Mapping[str, Callable[[], BatchMaker]] = {
 }
 """Name of an engine -> function that returns its maker, or raises `EngineError` if a package is not installed."""
 TOGETHER = ("warp",)
-"""The engines that advance all worlds of a process at once; dividing the worlds between processes slows them down."""
+"""The engines that advance all worlds of a batch at once: several batches side by side would take longer than one."""
 CONCAVE_MESHES = ("pybullet",)
 """The engines that collide concave triangle meshes; the others take convex parts."""
 AT_ONCE: Mapping[str, int] = {"pybullet": 128}
