@@ -44,6 +44,9 @@ class Group:
         model = self.built.model
         # MuJoCo Warp does not know this option. It has no reset of its own either, so a broken world stays broken.
         model.opt.disableflags &= ~int(mj.mjtDisableBit.mjDSBL_AUTORESET)
+        # MuJoCo takes smaller coefficients for this one; MuJoCo Warp does so too, but warns.
+        for friction in (model.geom_friction, model.pair_friction):
+            np.maximum(friction, mj.mjMINMU, out=friction)
         self.constants = Constants(self.built, items, specs)
         self.systems = [self.built.slots[body] for body, item in items.items() if isinstance(item, System)]
         solids = [(item, self.built.slots[body]) for body, item in items.items() if isinstance(item, Solid)]
