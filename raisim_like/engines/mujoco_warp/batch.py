@@ -68,7 +68,8 @@ class WarpBatch:
             group.advance(mine, targets[at], substeps)
             self._seconds[at] += (time.perf_counter() - start) / len(at)
             group.read(mine, self.state, at)
-            group.park(mine[self.broken()[at]])
+        for group, _, mine in self._parts(sound[self.broken()[sound]]):
+            group.park(mine)
 
     def link_impulses(self, rows: Rows, body: int, out: Array) -> None:
         for group, entries, mine in self._parts(rows):

@@ -77,6 +77,9 @@ class Group:
             self.model = mjw.put_model(model, batch_sizes=sizes)
             # The engine asks for what did not fit; Warp's own messages would come from every step.
             self.model.opt.warn_overflow = 0
+            if self.device.is_cuda:
+                # Older drivers cannot end a loop of a graph early (untested).
+                self.model.opt.graph_conditional = wp.is_conditional_graph_supported()
             self.data = mjw.make_data(model, nworld=n, nconmax=contacts, njmax=rows)
             self.kept = [(wp.zeros_like(a), a) for a in (self.data.qpos, self.data.qvel, self.data.qacc_warmstart)]
             self.active, self.cleared = wp.zeros(n, dtype=int), wp.zeros(n, dtype=int)
@@ -150,9 +153,11 @@ class Group:
             if slot.mocap >= 0:
                 continue
             qpos, qvel = self.qpos[rows, slot.q].astype(float), self.qvel[rows, slot.v].astype(float)
-            spin = rotate(matrix_from_quaternion(qpos[:, 3:]), qvel[:, 3:])
-            states = np.concatenate([qpos, qvel[:, :3], spin], axis=1)
-            frame.from_inertial(states)
+            # A world that breaks computes with NaN.
+            with np.errstate(all="ignore"):
+                spin = rotate(matrix_from_quaternion(qpos[:, 3:]), qvel[:, 3:])
+                states = np.concatenate([qpos, qvel[:, :3], spin], axis=1)
+                frame.from_inertial(states)
             state.bodies[at, k] = states
 
     # Steps -------------------------------------------------------------------------------------
