@@ -208,6 +208,36 @@ def test_collisions_keep_momentum_and_lose_the_normal_velocity(machine: UrdfMode
     batch.close()
 
 
+@pytest.mark.parametrize("slope", [0.0, 8.0])
+def test_cylinders_on_a_table_stay_and_roll_down_a_slope(slope: float) -> None:
+    """They stay within 1 mm for 5 s; on a slope (degrees) they gain 2/3 g sin a. Worlds without systems."""
+    radius, length, mass, n = 0.0335, 0.1, 0.35, 4
+    side, a = mass * (3 * radius**2 + length**2) / 12, np.radians(slope)
+    can = BodySpec((Shape("cylinder", (radius, length)),), mass, np.diag([side, side, mass * radius**2 / 2]),
+                   np.zeros(3), "any", collision_mask(BODY, ANY))  # fmt: skip
+    table = BodySpec((Shape("box", (1.2, 1.2, 1.0)),), 0.0, np.eye(3), np.zeros(3), "any", collision_mask(STATIC, ANY))
+    spec = WorldSpec((), (can, table), DT, gravity=(G * np.sin(a), 0.0, -G * np.cos(a)), materials=MaterialTable(0.8))
+    batch = make_batch("warp", [spec] * n, BatchState(np.zeros((n, 0)), np.zeros((n, 0)), np.zeros((n, 2, 13))))
+    bodies = np.zeros((n, 2, 13))
+    bodies[:, :, 3], bodies[:, 1, 2] = 1.0, -0.5
+    for k in range(n):
+        about = matrix_from_rotation_vector(np.array([0.0, 0.0, 0.0 if slope else 0.7 * k]))
+        lying = about @ matrix_from_rotation_vector(np.array([np.pi / 2, 0.0, 0.0]))
+        bodies[k, 0, :3] = [-0.4 if slope else 0.02 * k, 0.01 * k, radius]
+        bodies[k, 0, 3:7] = quaternion_from_matrix(lying)
+    batch.place(range(n), np.zeros((n, 0, 7)), np.zeros((n, 0)), bodies)
+    steps = 230 if slope else 2250
+    for _ in range(steps // 10):
+        batch.advance(range(n), np.zeros((n, 0)), 10)
+    moved = batch.state.bodies[:, 0]
+    if slope:
+        assert moved[:, 7] == pytest.approx(np.full(n, 2 / 3 * G * np.sin(a) * steps * DT), rel=0.02)
+        assert moved[:, 2] == pytest.approx(np.full(n, radius), abs=2e-4)
+    else:
+        assert np.linalg.norm(moved[:, :3] - bodies[:, 0, :3], axis=1).max() < 1e-3
+    batch.close()
+
+
 def busy(k: int) -> Start:
     """A start of world k in which much happens: a block slides, another falls onto the plate, balls collide."""
     return Start({

@@ -77,6 +77,8 @@ class Group:
             self.model = mjw.put_model(model, batch_sizes=sizes)
             # The engine asks for what did not fit; Warp's own messages would come from every step.
             self.model.opt.warn_overflow = 0
+            if bool((model.pair_dim == 6).any()):
+                self.model.callback.contactfilter = _lay_cylinders
             if self.device.is_cuda:
                 # Older drivers cannot end a loop of a graph early (untested).
                 self.model.opt.graph_conditional = wp.is_conditional_graph_supported()
@@ -258,3 +260,12 @@ class Group:
         self.qpos[:], self.qvel[:] = self.data.qpos.numpy(), self.data.qvel.numpy()
         self.on_links[rows] = self.device_links.numpy()[rows]
         self.between[rows] = self.device_between.numpy()[rows]
+
+
+def _lay_cylinders(m: mjw.Model, d: mjw.Data) -> None:
+    """Correct the contacts that a step has just found, see `kernels.lay_cylinders`."""
+    contact = d.contact
+    wp.launch(kernels.lay_cylinders, d.naconmax, [
+        d.nacon, contact.worldid, contact.geom, contact.dim, m.geom_type, m.geom_size, d.geom_xpos, d.geom_xmat,
+        contact.pos, contact.dist, contact.frame,
+    ])  # fmt: skip
