@@ -61,7 +61,7 @@ def lay_cylinders(
     w = world[i]
     cylinder = geoms[i][0]
     box = geoms[i][1]
-    sign = float(-1.0)
+    sign = -1.0
     if kind[cylinder] != CYLINDER:
         cylinder = geoms[i][1]
         box = geoms[i][0]
@@ -69,7 +69,7 @@ def lay_cylinders(
     if kind[cylinder] != CYLINDER or kind[box] != BOX:
         return
     found = wp.vec3(frame[i][0, 0], frame[i][0, 1], frame[i][0, 2]) * sign
-    face = int(0)
+    face = 0
     normal = wp.vec3(0.0, 0.0, 0.0)
     for k in range(3):
         side = wp.vec3(turn[w, box][0, k], turn[w, box][1, k], turn[w, box][2, k])
