@@ -16,10 +16,11 @@ class WarpBatch:
     """See `WorldBatch` for the methods.
 
     The device computes in single precision: a state that is set keeps its double precision until the row advances. A
-    row that breaks is taken out of its group, and stays as it is until it is placed again.
+    row that breaks is taken out of its group, and stays as it is until it is placed again. `threads` has no effect: the
+    device divides the work itself.
     """
 
-    def __init__(self, specs: Sequence[WorldSpec], state: BatchState) -> None:
+    def __init__(self, specs: Sequence[WorldSpec], state: BatchState, threads: int = 1) -> None:
         self.specs, self.state = specs, state
         members: dict[Hashable, list[int]] = {}
         for i, spec in enumerate(specs):
