@@ -194,6 +194,30 @@ def test_a_joint_yields_by_its_torque_over_its_stiffness(machine: UrdfModel) -> 
     batch.close()
 
 
+def test_the_constants_of_contacts_follow_the_gains_and_masses_of_each_world(machine: UrdfModel) -> None:
+    """They are those that C MuJoCo derives for one world alone, to single precision."""
+    kp = np.array([[5000.0, 20.0], [800.0, 80.0]])
+    here, there = (
+        make([world_spec(machine, mass=mass) for mass in (1.0, 3.0)], [Start(), Start()], engine)
+        for engine in ("warp", "mujoco")
+    )
+    for batch in (here, there):
+        batch.set_gains(range(2), kp, np.full((2, 2), 0.2), np.zeros((2, 2)))
+        advance(batch, 1)
+    (group,) = here.groups  # type: ignore[attr-defined]
+    for name in ("body_mass", "body_invweight0", "dof_invweight0", "dof_armature", "dof_damping", "jnt_stiffness"):
+        values, part = getattr(group.model, name).numpy(), {"b": "bodies", "d": "v", "j": "joints"}[name[0]]
+        for i, world in enumerate(there.worlds):  # type: ignore[attr-defined]
+            alone = world.engine_world._built
+            # The bodies have the same numbers in both, but stand in another order.
+            for body, slot in group.built.slots.items():
+                expected = getattr(alone.model, name)[getattr(alone.slots[body], part)]
+                assert values[i][getattr(slot, part)] == pytest.approx(expected, rel=1e-5), name
+        assert (values[0] != values[1]).any()
+    for batch in (here, there):
+        batch.close()
+
+
 @pytest.mark.parametrize("offset", [0.0, 0.03])
 def test_collisions_keep_momentum_and_lose_the_normal_velocity(machine: UrdfModel, offset: float) -> None:
     start = Start({FIRST: [0, 0, 3, 1, 0, 0, 0, 1], SECOND: [0.3, offset, 3, 1, 0, 0, 0, -0.2]})
