@@ -18,6 +18,7 @@ from dgrasp.methods import METHODS, PolicyMethod, method_of
 from dgrasp.methods.method import Method
 from dgrasp.rl.run.folder import PRETRAINED, PRETRAINED_FILE, WEIGHTS_SUFFIX, latest
 from dgrasp.rl.run.whole import check_policy_file
+from raisim_like.registry import TOGETHER
 
 if TYPE_CHECKING:
     from dgrasp.rl.run.policies import SavedPolicy
@@ -117,7 +118,11 @@ def config_of(asked: Asked, path: Path | None = None, saved: SavedPolicy | None 
     where, values = _base(asked, path, saved)
     given = [override(key, value) for key, value in asked.values.items()]
     # A run may train with faster physics; a test uses the most accurate preset.
-    config = make_config(apply_overrides(values, ["physics.preset=faithful"]), where, [*given, *asked.overrides])
+    own = ["physics.preset=faithful"]
+    if asked.values.get("engine") in TOGETHER:
+        # The run's pool would divide the worlds that this engine advances together.
+        own.append("pool.kind=auto")
+    config = make_config(apply_overrides(values, own), where, [*given, *asked.overrides])
     if path is not None and saved is not None:
         _check_senses(saved, config, path)
     return config

@@ -10,7 +10,7 @@ from functools import partial
 from typing import Protocol
 
 from raisim_like.batch import BatchState, WorldBatch, WorldSpec
-from raisim_like.engines import ENGINES, make_engine
+from raisim_like.engines import ENGINES, find_warp, make_engine
 from raisim_like.errors import EngineError
 from raisim_like.loop import LoopBatch
 
@@ -26,10 +26,20 @@ def _loop(engine: str) -> BatchMaker:
     return partial(LoopBatch, engine)
 
 
+def _warp() -> BatchMaker:
+    find_warp()
+    from raisim_like.engines.mujoco_warp.batch import WarpBatch
+
+    return WarpBatch
+
+
 BATCHES: Mapping[str, Callable[[], BatchMaker]] = {
     **{name: partial(_loop, name) for name in ENGINES},
+    "warp": _warp,
 }
 """Name of an engine -> function that returns its maker, or raises `EngineError` if a package is not installed."""
+TOGETHER = ("warp",)
+"""The engines that advance all worlds of a batch at once: several batches side by side would take longer than one."""
 CONCAVE_MESHES = ("pybullet",)
 """The engines that collide concave triangle meshes; the others take convex parts."""
 AT_ONCE: Mapping[str, int] = {"pybullet": 128}

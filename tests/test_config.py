@@ -77,7 +77,7 @@ def test_keys_are_dotted_leaves() -> None:
         (["physics.timestep=1e-12"], r"eval\.window_s: 5 s are 3\.85e\+11 control steps of 1\.3e-11 s"),
         (["env.grasp_steps=195"], "env.grasp_steps must be below"),
         (["env.hold.first_step=70"], "first_step <= last_step"),
-        (["engine=havok"], r"engine: .*expected one of pybullet, mujoco \(got 'havok'\)"),
+        (["engine=havok"], r"engine: .*expected one of pybullet, mujoco, warp \(got 'havok'\)"),
         (["engine=mujoco", "physics.concave=mesh"], "mujoco does not support concave meshes"),
         (["ppo.min_learning_rate=0.1"], "must not exceed"),
     ],

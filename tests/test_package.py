@@ -21,7 +21,8 @@ from tests.reference import reference_or_skip
 PACKAGES = ("dgrasp", "raisim_like")
 BUNDLED = "dgrasp/_bundled/"
 IMPORTED_AS = {
-    "fast-simplification": "fast_simplification", "imageio-ffmpeg": "imageio_ffmpeg", "pillow": "PIL", "pyyaml": "yaml",
+    "fast-simplification": "fast_simplification", "imageio-ffmpeg": "imageio_ffmpeg", "mujoco-warp": "mujoco_warp",
+    "pillow": "PIL", "pyyaml": "yaml", "warp-lang": "warp",
 }  # fmt: skip
 """Distributions whose modules have another name."""
 PAGE = ("page.js", "report.css", "viewer.js")

@@ -61,6 +61,15 @@ def test_overrides_stand_above_values_and_values_above_the_config(tmp_path: Path
     assert config_of(Asked("gt_pd", cfg=cfg, overrides=["physics.preset=fast"])).physics.preset == "fast"
 
 
+def test_an_engine_of_many_worlds_is_not_bound_to_the_pool_of_a_config(tmp_path: Path) -> None:
+    cfg = tmp_path / "a.yaml"
+    cfg.write_text("engine: mujoco\npool: {kind: process}\n")
+    assert config_of(Asked("gt_pd", cfg=cfg, values={"engine": "warp"})).pool.kind == "auto"
+    assert config_of(Asked("gt_pd", cfg=cfg)).pool.kind == "process"
+    typed = Asked("gt_pd", cfg=cfg, values={"engine": "warp"}, overrides=["pool.kind=process"])
+    assert config_of(typed).pool.kind == "process"
+
+
 def test_a_policy_brings_its_own_config_and_a_run_has_one(tmp_path: Path) -> None:
     file = trained(tmp_path / "run", "seed=3", "engine=mujoco", "physics.preset=fast")
     by_file = make_request(Asked(policy=file))

@@ -61,7 +61,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--store", type=Path, metavar="DIR", help="folder of added objects (default: data/objects)")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--engine", choices=list(BATCHES), default=default_engine(),
-                        help="engine that tries the grasps (default: %(default)s; mujoco is five times faster)")
+                        help="engine that tries the grasps (default: %(default)s; mujoco is five times faster; warp "
+                             "needs dgrasp[warp])")
     parser.add_argument("--workers", type=int, metavar="N", help="processes (default: one per core)")
 
 

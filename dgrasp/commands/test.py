@@ -73,7 +73,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--split", choices=("train", "test"), help="which labels (default: train)")
     parser.add_argument("--labels", metavar="SOURCE|FILE", help=f"{', '.join(SOURCES)}, or a label file")
     parser.add_argument("--objects", nargs="+", metavar="NAME", help="only these objects, such as 004_sugar_box")
-    parser.add_argument("--engine", choices=list(BATCHES), help="physics engine")
+    parser.add_argument("--engine", choices=list(BATCHES),
+                        help="physics engine; warp (for a GPU) needs dgrasp[warp]")
     parser.add_argument("--window", type=float, metavar="SECONDS",
                         help="stability window (default: 5; the authors use 3.87)")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write JSON, with CSV, Markdown and LaTeX beside it")

@@ -63,12 +63,12 @@ def main(arguments: argparse.Namespace) -> int:
 def _no_config(config: Config) -> ConfigError:
     """The error for a command line without --cfg. config: the defaults, which are the paper's, with what was typed."""
     from dgrasp.data import resolve
-    from dgrasp.pool import cores
+    from dgrasp.pool import cores, pool_kind
 
     labels = len(resolve(config).labels.labels)
     epochs = config.last_epoch(labels)
     steps = sum(config.steps_in(epoch, labels) for epoch in range(1, epochs + 1))
-    workers = 1 if config.pool.kind == "serial" else config.pool.workers or cores()
+    workers = 1 if pool_kind(config) == "serial" else config.pool.workers or cores()
     hours = steps / (_STEPS_PER_CORE.get(config.engine, 1000) * workers) / 3600.0
     if config.ppo.max_minutes is not None:
         hours = min(hours, config.ppo.max_minutes / 60.0)

@@ -42,7 +42,7 @@ def _known_engine(name: str) -> str:
 class Config(Section):
     """One experiment.
 
-    engine: default pybullet, or mujoco where PyBullet is not installed.
+    engine: default pybullet, or mujoco where PyBullet is not installed; warp needs the extra dgrasp[warp].
     objects: the folder of added objects (`dgrasp object add`) that labels name; null searches the data's objects/, then
     data/objects.
     """

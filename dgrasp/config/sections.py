@@ -269,11 +269,11 @@ class PpoConfig(Section):
 class PoolConfig(Section):
     """Where the environments run.
 
-    kind: "auto" takes threads of this process on MuJoCo (if its part in C was built) and processes on PyBullet.
-    workers: null takes as many as there are cores. hang_s: seconds without a control step after which a worker process
-    counts as hung and is replaced. For "ray" only: address of the cluster (auto, HOST:PORT; null starts one on this
-    machine); patience: a worker is left behind once it takes this many times as long as the median of those that have
-    finished.
+    kind: "auto" takes threads of this process on MuJoCo (if its part in C was built), processes on PyBullet, and
+    "serial" on MuJoCo Warp, which advances all environments together and refuses the other kinds. workers: null takes
+    as many as there are cores. hang_s: seconds without a control step after which a worker process counts as hung and
+    is replaced. For "ray" only: address of the cluster (auto, HOST:PORT; null starts one on this machine); patience: a
+    worker is left behind once it takes this many times as long as the median of those that have finished.
     """
 
     kind: Literal["auto", "thread", "process", "serial", "ray"] = "auto"

@@ -10,10 +10,20 @@ from dgrasp.errors import ConfigError
 from dgrasp.pool.base import Pool, PoolError, PoolSpec, WorkerLost
 from dgrasp.rl.cores import cores
 from raisim_like.engines import steps_in_threads
+from raisim_like.registry import TOGETHER
 
 
 def pool_kind(config: Config) -> str:
-    """The kind of pool that `auto` stands for: threads where the engine steps in parallel threads, else processes."""
+    """The kind of pool; `auto` stands for the best one of the engine.
+
+    An engine that advances all worlds of a process at once takes them all in this process ("serial"); one that steps in
+    parallel threads takes threads; the others take processes. Raises `ConfigError` for a kind that does not fit.
+    """
+    if config.engine in TOGETHER:
+        if config.pool.kind not in ("auto", "serial"):
+            raise ConfigError(f"pool.kind: the engine {config.engine} advances all worlds together in one process, "
+                              f"which {config.pool.kind!r} would divide; expected auto or serial")
+        return "serial"
     if config.pool.kind == "thread" and config.engine == "pybullet":
         raise ConfigError("pool.kind: PyBullet cannot step worlds in threads; expected auto, process or serial")
     if config.pool.kind != "auto":

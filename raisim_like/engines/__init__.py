@@ -53,3 +53,12 @@ def steps_in_threads(name: str) -> bool:
     from raisim_like.engines.mujoco.sliding import native
 
     return native()
+
+
+def find_warp() -> None:
+    """Raise `EngineError` if a package of the engine warp is missing."""
+    if find_spec("mujoco_warp") is None or find_spec("warp") is None:
+        raise EngineError(
+            "the engine warp needs the packages mujoco-warp and warp-lang, which are not installed: "
+            "pip install 'dgrasp[warp]'"
+        )

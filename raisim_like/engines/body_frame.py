@@ -18,7 +18,7 @@ larger ones, because their moments are 1 kg m^2."""
 class BodyFrame:
     """Converts states between a body's frame B and its inertial frame I.
 
-    com: (3,) origin of I in B. axes: (3, 3) R_BI. moments: (3,) principal moments of inertia, kg m^2. States
+    com: (3,) origin of I in B. axes: (3, 3) R_BI. moments: (3,) principal moments of inertia, kg m^2. States (..., 13)
     have the layout of `EngineWorld.set_body_state`.
     """
 
@@ -47,23 +47,23 @@ class BodyFrame:
         return replace(shape, position=(x, y, z), quaternion=(w, i, j, k))
 
     def to_inertial(self, state: Array) -> Array:
-        """The state (13,) of I that corresponds to a state (13,) of B."""
+        """The states (..., 13) of I that correspond to states (..., 13) of B."""
         if self.plain:
             return state
         out = state.copy()
-        R = matrix_from_quaternion(state[3:7])
+        R = matrix_from_quaternion(state[..., 3:7])
         offset = R @ self.com
-        out[:3] += offset
-        out[3:7] = quaternion_from_matrix(R @ self.axes)
-        out[7:10] += np.cross(state[10:13], offset)
+        out[..., :3] += offset
+        out[..., 3:7] = quaternion_from_matrix(R @ self.axes)
+        out[..., 7:10] += np.cross(state[..., 10:13], offset)
         return out
 
     def from_inertial(self, state: Array) -> None:
-        """Convert a state (13,) of I to the state of B, in place."""
+        """Convert states (..., 13) of I to the states of B, in place."""
         if self.plain:
             return
-        R = matrix_from_quaternion(state[3:7]) @ self.axes.T
+        R = matrix_from_quaternion(state[..., 3:7]) @ self.axes.T
         offset = R @ self.com
-        state[:3] -= offset
-        state[3:7] = quaternion_from_matrix(R)
-        state[7:10] -= np.cross(state[10:13], offset)
+        state[..., :3] -= offset
+        state[..., 3:7] = quaternion_from_matrix(R)
+        state[..., 7:10] -= np.cross(state[..., 10:13], offset)

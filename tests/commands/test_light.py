@@ -17,7 +17,7 @@ from dgrasp.labels.recorded.table_sources import TABLE_SOURCES
 from dgrasp.methods import METHODS
 from dgrasp.tables.plan import _PLANS
 
-HEAVY = ("torch", "pybullet", "mujoco", "trimesh", "scipy", "matplotlib")
+HEAVY = ("torch", "pybullet", "mujoco", "warp", "trimesh", "scipy", "matplotlib")
 _CODE = """
 import contextlib, io, json, sys
 from dgrasp.cli import main

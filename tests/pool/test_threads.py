@@ -118,3 +118,11 @@ def test_there_are_no_more_threads_than_labels() -> None:
 def test_threads_are_refused_on_pybullet() -> None:
     with pytest.raises(ConfigError, match=r"pool\.kind: PyBullet cannot step worlds in threads; expected auto"):
         pool_kind(load_config(None, ["pool.kind=thread", "engine=pybullet"]))
+
+
+def test_an_engine_of_many_worlds_takes_all_environments_in_one_process() -> None:
+    assert pool_kind(load_config(None, ["engine=warp"])) == "serial"
+    assert pool_kind(load_config(None, ["engine=warp", "pool.kind=serial"])) == "serial"
+    for kind in ("thread", "process", "ray"):
+        with pytest.raises(ConfigError, match=f"pool.kind: the engine warp advances .* '{kind}' .*; expected auto or"):
+            pool_kind(load_config(None, ["engine=warp", f"pool.kind={kind}"]))

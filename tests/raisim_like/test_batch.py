@@ -144,9 +144,9 @@ def test_a_batch_is_its_worlds_alone_to_the_bit(engine: str, arms: tuple[UrdfMod
     batch.close()
 
 
-def test_the_arm_feels_the_ball_that_falls_on_it(engine: str, arms: tuple[UrdfModel, UrdfModel]) -> None:
+def test_the_arm_feels_the_ball_that_falls_on_it(any_engine: str, arms: tuple[UrdfModel, UrdfModel]) -> None:
     """The ball falls on the end of the first link of the first arm."""
-    batch = make(engine, arms, (1,))
+    batch = make(any_engine, arms, (1,))
     begin(batch, [0], (1,))
     impulses, most = np.zeros((1, 5)), np.zeros(5)
     for _ in range(40):
@@ -158,12 +158,12 @@ def test_the_arm_feels_the_ball_that_falls_on_it(engine: str, arms: tuple[UrdfMo
 
 
 def test_arrays_are_written_in_place_and_other_rows_left_alone(
-    engine: str, arms: tuple[UrdfModel, UrdfModel]
+    any_engine: str, arms: tuple[UrdfModel, UrdfModel]
 ) -> None:
     whole = np.full((3, 2 * 5 + 3 * 13), np.nan)
     gc, gv, bodies = whole[:, :5], whole[:, 5:10], whole[:, 10:].reshape(3, 3, 13)
     assert np.shares_memory(bodies, whole)
-    batch = make_batch(engine, [spec(arms, seed) for seed in (1, 2, 3)], BatchState(gc, gv, bodies))
+    batch = make_batch(any_engine, [spec(arms, seed) for seed in (1, 2, 3)], BatchState(gc, gv, bodies))
     assert batch.state.gc is gc and batch.state.gv is gv and batch.state.bodies is bodies
     begin(batch, [2, 0], (3, 1))
     assert np.isfinite(whole[[0, 2]]).all() and np.isnan(whole[1]).all()
@@ -179,9 +179,9 @@ def test_arrays_are_written_in_place_and_other_rows_left_alone(
     batch.close()
 
 
-def test_a_body_moves_while_all_else_goes_on(engine: str, arms: tuple[UrdfModel, UrdfModel]) -> None:
+def test_a_body_moves_while_all_else_goes_on(any_engine: str, arms: tuple[UrdfModel, UrdfModel]) -> None:
     """The ground drops by 1 m under the resting box, which then falls freely."""
-    batch = make(engine, arms, (1, 2))
+    batch = make(any_engine, arms, (1, 2))
     begin(batch, range(2), (1, 2))
     for _ in range(30):
         batch.advance(range(2), targets((1, 2)), SUBSTEPS)
@@ -202,9 +202,9 @@ def test_a_body_moves_while_all_else_goes_on(engine: str, arms: tuple[UrdfModel,
 
 
 def test_a_row_that_broke_is_reported_and_rebuilt_and_no_other_notices(
-    engine: str, arms: tuple[UrdfModel, UrdfModel]
+    any_engine: str, arms: tuple[UrdfModel, UrdfModel]
 ) -> None:
-    batch, sound = make(engine, arms, (1, 2, 3)), make(engine, arms, (1, 2, 3))
+    batch, sound = make(any_engine, arms, (1, 2, 3)), make(any_engine, arms, (1, 2, 3))
     aims = targets((1, 2, 3))
     for one in (batch, sound):
         begin(one, range(3), (1, 2, 3))
@@ -228,7 +228,7 @@ def test_a_row_that_broke_is_reported_and_rebuilt_and_no_other_notices(
         sound.advance([0, 2], aims, SUBSTEPS)
     for i in (0, 2):
         assert row_of(batch.state, i) == row_of(sound.state, i)
-    fresh = make(engine, arms, (2,))
+    fresh = make(any_engine, arms, (2,))
     begin(fresh, [0], (2,))
     for _ in range(3):
         fresh.advance([0], targets((2,)), SUBSTEPS)
@@ -237,8 +237,8 @@ def test_a_row_that_broke_is_reported_and_rebuilt_and_no_other_notices(
         one.close()
 
 
-def test_a_row_placed_anew_has_no_past(engine: str, arms: tuple[UrdfModel, UrdfModel]) -> None:
-    batch = make(engine, arms, (1, 1))
+def test_a_row_placed_anew_has_no_past(any_engine: str, arms: tuple[UrdfModel, UrdfModel]) -> None:
+    batch = make(any_engine, arms, (1, 1))
     begin(batch, range(2), (1, 1))
     for _ in range(20):
         batch.advance([0], targets((1, 1)), SUBSTEPS)
@@ -249,8 +249,8 @@ def test_a_row_placed_anew_has_no_past(engine: str, arms: tuple[UrdfModel, UrdfM
     batch.close()
 
 
-def test_the_time_inside_the_engine_is_counted_by_row(engine: str, arms: tuple[UrdfModel, UrdfModel]) -> None:
-    batch = make(engine, arms, (1, 2))
+def test_the_time_inside_the_engine_is_counted_by_row(any_engine: str, arms: tuple[UrdfModel, UrdfModel]) -> None:
+    batch = make(any_engine, arms, (1, 2))
     begin(batch, range(2), (1, 2))
     assert batch.seconds.tolist() == [0.0, 0.0]
     batch.advance([1], targets((1, 2)), SUBSTEPS)

@@ -85,10 +85,14 @@ class BuiltModel:
         D = item.drive.kd + item.urdf.joint_damping + dt * item.drive.kp
         m.jnt_stiffness[slot.joints] = item.drive.kp
         m.dof_damping[slot.v], m.dof_armature[slot.v] = D, dt * D
-        # Contact hardness is relative to inertias that MuJoCo computes here. It overwrites the data it is given.
+        self.derive_constants()
+
+    def derive_constants(self) -> None:
+        """Recompute what follows from masses, inertias and armatures; the hardness of contacts is relative to it."""
+        # MuJoCo overwrites the data that it is given.
         if self._scratch is None:
-            self._scratch = mj.MjData(m)
-        mj.mj_setConst(m, self._scratch)
+            self._scratch = mj.MjData(self.model)
+        mj.mj_setConst(self.model, self._scratch)
 
     def write_forces(self) -> None:
         """Set the forces of the coming step to the feed-forward of each system."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations, combinations_with_replacement
 from typing import Any
@@ -17,6 +17,7 @@ from raisim_like.engines.mujoco.collision import chains, collision_bits
 from raisim_like.engines.mujoco.sliding import MARK
 from raisim_like.engines.mujoco.ties import add_ties
 from raisim_like.engines.protocol import Array
+from raisim_like.errors import EngineError
 from raisim_like.material import MaterialTable
 from raisim_like.rotations import quaternion_from_matrix
 from raisim_like.shapes import Shape
@@ -124,7 +125,7 @@ class ModelMaker:
     def _solid(self, body: int, item: Solid) -> list[Any]:
         world = self.spec.worldbody
         if item.mass > 0:
-            moments = _possible(item.frame.moments)
+            moments = possible_moments(item.frame.moments)
             element = world.add_body(name=f"b{body}", mass=item.mass, inertia=moments, explicitinertial=True)
             element.add_freejoint()
         else:
@@ -149,7 +150,7 @@ class ModelMaker:
                 mass=max(link.mass, MIN_MASS),
                 ipos=frame.com,
                 iquat=axes[i],
-                inertia=_possible(np.maximum(frame.moments, LIGHT_INERTIA)),
+                inertia=possible_moments(np.maximum(frame.moments, LIGHT_INERTIA)),
                 explicitinertial=True,
             )
             element.add_joint(
@@ -240,13 +241,27 @@ class ModelMaker:
         ]
 
 
+def check_shapes(shapes: Sequence[Shape]) -> None:
+    """Raise `EngineError` for shapes that MuJoCo cannot collide."""
+    if not shapes:
+        raise EngineError("a body needs at least one shape")
+    for shape in shapes:
+        if shape.kind == "mesh":
+            raise EngineError(
+                f"{shape.file}: MuJoCo has no concave meshes and would take the convex hull; give the body convex "
+                "parts instead, one shape of kind 'hull' for each"
+            )
+        if shape.kind == "hull" and (shape.file is None or not shape.file.is_file()):
+            raise EngineError(f"mesh file {shape.file} does not exist")
+
+
 def solref(timestep: float) -> list[float]:
     """No spring, and a damper that stops an approach within one step."""
     return [0.0, -1.0 / timestep]
 
 
-def _possible(moments: Array) -> Array:
-    """Principal moments of inertia, the smallest raised to what a solid can have, as MuJoCo requires."""
+def possible_moments(moments: Array) -> Array:
+    """Principal moments of inertia (3,), the smallest raised to what a solid can have, as MuJoCo requires."""
     low, middle, high = np.argsort(moments)
     raised = np.array(moments)
     raised[low] = max(moments[low], (moments[high] - moments[middle]) * (1.0 + 1e-9))

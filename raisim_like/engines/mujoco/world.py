@@ -17,7 +17,7 @@ from raisim_like.engines.body_frame import BodyFrame
 from raisim_like.engines.mujoco import state as mujoco_state
 from raisim_like.engines.mujoco.built import BuiltModel
 from raisim_like.engines.mujoco.contacts import contacts_of, pair_forces
-from raisim_like.engines.mujoco.model import Drive, Item, Solid, System
+from raisim_like.engines.mujoco.model import Drive, Item, Solid, System, check_shapes
 from raisim_like.engines.mujoco.sliding import advance
 from raisim_like.engines.pending import Pending
 from raisim_like.engines.protocol import Array, EngineWorld, engine_steps
@@ -69,16 +69,7 @@ class MujocoWorld:
     def add_body(
         self, shapes: Sequence[Shape], mass: float, com: Array, inertia: Array, material: str, collision_mask: int
     ) -> int:
-        if not shapes:
-            raise EngineError("a body needs at least one shape")
-        for shape in shapes:
-            if shape.kind == "mesh":
-                raise EngineError(
-                    f"{shape.file}: MuJoCo has no concave meshes and would take the convex hull; give the body convex "
-                    "parts instead, one shape of kind 'hull' for each"
-                )
-            if shape.kind == "hull" and (shape.file is None or not shape.file.is_file()):
-                raise EngineError(f"mesh file {shape.file} does not exist")
+        check_shapes(shapes)
         body = self._new_id()
         self.solids[body] = Solid(tuple(shapes), float(mass), BodyFrame(com, inertia), material, collision_mask)
         return body
