@@ -40,6 +40,19 @@ def default_store() -> Path:
     return user_data_root() / "objects"
 
 
+def clean_name(text: str) -> str:
+    """A text such as a file's name as the name of an object; what names cannot have becomes an underscore."""
+    return re.sub(r"[^A-Za-z0-9_.+-]+", "_", text).lstrip("_.+-")
+
+
+def check_name(name: str, file: Path) -> None:
+    """Raise `DataError` if an object that is added from `file` cannot have this name."""
+    if not NAME.fullmatch(name) or name in YCB_NAMES.values():
+        why = "is one of the 20" if name in YCB_NAMES.values() else "expected letters, digits and _ . + -"
+        raise DataError(f"{file}: the name {name[:100]!r} cannot be given to an object ({why}); choose another name "
+                        "with --name")
+
+
 @dataclass(frozen=True)
 class StoredObject:
     """The folder of an added object, and its id, which ends in a hash of what the physics reads."""
