@@ -19,6 +19,7 @@ EXIT_BAD_INPUT, EXIT_INTERRUPTED = 2, 130
 COMMANDS = {
     "train": "dgrasp.commands.train",
     "test": "dgrasp.commands.test",
+    "grasp": "dgrasp.commands.grasp",
     "demo": "dgrasp.commands.demo",
     "runs": "dgrasp.commands.runs",
     "publish": "dgrasp.commands.publish",
@@ -54,6 +55,7 @@ Dynamic grasps from static grasp labels, on open physics (D-Grasp, CVPR 2022).
 commands:
   train    train a grasping policy
   test     evaluate a policy or a baseline
+  grasp    from a mesh to ranked grasps in the simulator: dgrasp grasp cup.stl --units mm
   demo     test the shipped policy and train briefly on the free set, with replays
   runs     list training runs, or compare two
   publish  write a trained policy as one small file

@@ -25,8 +25,7 @@ from dgrasp.objects.names import YCB_NAMES
 from dgrasp.types import GraspLabel
 from dgrasp.version import __version__
 from raisim_like.engines import default_engine
-from raisim_like.errors import EngineError
-from raisim_like.registry import BATCHES, find_engine
+from raisim_like.registry import BATCHES
 
 if TYPE_CHECKING:
     from dgrasp.hand.store import NamedHand
@@ -147,12 +146,13 @@ def _tasks(arguments: argparse.Namespace) -> tuple[list[_Task], NamedHand]:
     found = [find_named(name, arguments.store) for name in wanted]
     config = make_config({"engine": arguments.engine}, "labels make")
 
+    from dgrasp.build import require_engine
     from dgrasp.hand.store import AUTHORS_HAND, open_hand
 
     data = None if arguments.data == "free" else Path(os.path.expanduser(arguments.data))
     name = arguments.hand or ("free" if data is None else str(data / "hand" / f"{AUTHORS_HAND}.urdf"))
     hand = open_hand(name)
-    _require_engine(arguments.engine)
+    require_engine(arguments.engine, "--engine")
     models = list({model.name: model for model in (build_named(entry, data, config) for entry in found)}.values())
     same = [hand.model.id, __version__, arguments.number, arguments.seed, arguments.engine]
     return [
@@ -178,13 +178,6 @@ def _kept(
     path.parent.mkdir(exist_ok=True)
     write_native(path, made[0], made[1], "of a file that is not finished", hand.model.layout.names)
     return made
-
-
-def _require_engine(name: str) -> None:
-    try:
-        find_engine(name)
-    except EngineError as error:
-        raise ConfigError(f"--engine: {error}") from None
 
 
 def _files(arguments: argparse.Namespace, objects: int) -> list[Path]:
