@@ -19,8 +19,8 @@ EXIT_BAD_INPUT, EXIT_INTERRUPTED = 2, 130
 COMMANDS = {
     "train": "dgrasp.commands.train",
     "test": "dgrasp.commands.test",
-    "grasp": "dgrasp.commands.grasp",
     "demo": "dgrasp.commands.demo",
+    "grasp": "dgrasp.commands.grasp",
     "runs": "dgrasp.commands.runs",
     "publish": "dgrasp.commands.publish",
     "export": "dgrasp.commands.export",

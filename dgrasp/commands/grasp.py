@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import os
 import sys
 import tempfile
 import time
@@ -26,7 +25,7 @@ from raisim_like.engines import default_engine
 from raisim_like.registry import BATCHES
 
 if TYPE_CHECKING:
-    from dgrasp.grasping import Grasps
+    from dgrasp.grasping.grasps import Grasps
     from dgrasp.hand.store import NamedHand
     from dgrasp.request import Asked
 
@@ -42,7 +41,6 @@ examples:
   dgrasp grasp 025_mug --to pour.csv --out mug           an object of the free set, along a path
   dgrasp grasp cup --hand hands/mine --policy mine.pt    another hand, with a policy that was trained for it
 """
-_MOST_ROWS = 20
 _FOR_MESHES = ("name", "units", "scale", "mass", "density", "replace")
 
 
@@ -93,7 +91,8 @@ class _Plan:
 def main(arguments: argparse.Namespace) -> int:
     """Make, test, rank and write the grasps; returns the exit code, 0 even if no grasp holds."""
     from dgrasp.evaluation import one_thread
-    from dgrasp.grasping import carry, check_policy, try_grasps, write_grasps
+    from dgrasp.grasping.folder import write_grasps
+    from dgrasp.grasping.grasps import carry, check_policy, try_grasps
     from dgrasp.motion.files import read_target
     from dgrasp.request import make_request, method_and_config
 
@@ -133,7 +132,7 @@ def _plan(arguments: argparse.Namespace, labels: Path) -> _Plan:
     mesh, name = _object(arguments, store)
 
     from dgrasp.build import require_engine
-    from dgrasp.grasping import check_out
+    from dgrasp.grasping.folder import check_out
     from dgrasp.hand.store import FREE_HAND, open_hand
     from dgrasp.labels.load import sha256_of
     from dgrasp.motion.files import read_target
@@ -145,7 +144,6 @@ def _plan(arguments: argparse.Namespace, labels: Path) -> _Plan:
     check_out(out)
     if arguments.to is not None:
         read_target(arguments.to, make_config({}).control_period)
-    require_engine(arguments.engine, "--engine")
     values = {
         "data": "free", "hand": None if arguments.hand == FREE_HAND else arguments.hand, "engine": arguments.engine,
         "seed": arguments.seed, "objects": str(store) if mesh or (store / name).is_dir() else None,
@@ -154,14 +152,14 @@ def _plan(arguments: argparse.Namespace, labels: Path) -> _Plan:
     fixed = [word for word in arguments.overrides if word.partition("=")[0] in values]
     if fixed:
         raise ConfigError(f"{fixed[0]}: not a key of this command; expected its option, such as --engine or --seed")
-    is_run, policy = arguments.policy == PRETRAINED or os.path.isdir(arguments.policy), Path(arguments.policy)
-    asked = Asked(policy=None if is_run else policy, run=policy if is_run else None, values=values,
-                  overrides=arguments.overrides)
+    run = Path(arguments.policy) if arguments.policy == PRETRAINED or Path(arguments.policy).is_dir() else None
+    asked = Asked(policy=None if run else Path(arguments.policy), run=run, values=values, overrides=arguments.overrides)
     file = asked.find_policy()
     assert file is not None
     check_policy_file(file)
     config_of(asked)
     hand = open_hand(arguments.hand)
+    require_engine(arguments.engine, "--engine")
     about = {"policy": PRETRAINED if asked.shipped else file.name, "policy_sha256": sha256_of(file)}
     return _Plan(mesh, name, store, out, hand, asked, about)
 
@@ -169,9 +167,9 @@ def _plan(arguments: argparse.Namespace, labels: Path) -> _Plan:
 def _object(arguments: argparse.Namespace, store: Path) -> tuple[Path | None, str]:
     """The mesh file, if one is given, and the object's full name."""
     path, options = Path(arguments.object), {key: getattr(arguments, key) for key in _FOR_MESHES}
-    if os.path.isdir(path) and not (store / arguments.object).is_dir():
+    if path.is_dir() and not (store / arguments.object).is_dir():
         raise DataError(f"{path}: a folder; expected a mesh file ({', '.join(FORMATS)}) or the name of an object")
-    if path.suffix.lower()[1:] not in FORMATS and not os.path.isfile(path):
+    if path.suffix.lower()[1:] not in FORMATS and not path.is_file():
         given = [f"--{key}" for key, value in options.items() if value is not None]
         if given:
             raise ConfigError(f"{given[0]}: only for a mesh file, but {arguments.object} is the name of an object, "
@@ -234,14 +232,13 @@ def _make(stages: _Stages, arguments: argparse.Namespace, plan: _Plan, file: Pat
 def _print(plan: _Plan, grasps: Grasps, seconds: float) -> None:
     """Print the ranking, where the files are, and what to do next."""
     from dgrasp.files.typed import typed
-    from dgrasp.grasping import JSON_FILE, REPORT_FILE, SEQUENCES, table_cells
+    from dgrasp.grasping.folder import JSON_FILE, REPORT_FILE, SEQUENCES, table_cells
 
     header, rows = table_cells(grasps)
     table = Table(*header, box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
-    for row in rows[:_MOST_ROWS]:
+    for row in rows[:20]:
         table.add_row(*row)
     # In a file or a pipe, a wide table keeps each row on one line.
-    print()
     Console(highlight=False, width=None if sys.stdout.isatty() else 120).print(table)
     print(f"{grasps.verdict()} ({seconds:.0f} s in all)")
     print(f"wrote {plan.out}: {JSON_FILE} (all {len(rows)} grasps), {REPORT_FILE} (replays), {SEQUENCES}/ "

@@ -14,7 +14,7 @@ import pytest
 from dgrasp.cli import run_command
 from dgrasp.export.sequence import read_sequence
 from dgrasp.files.paths import data_root
-from dgrasp.grasping import ranking
+from dgrasp.grasping.grasps import ranking
 from dgrasp.labels.formats.native import read_native_with_meta
 from dgrasp.synthesis import making
 from dgrasp.synthesis.synthesiser import Synthesiser
@@ -161,6 +161,7 @@ def test_held_grasps_come_first_then_small_distances() -> None:
         (["a.obj", "--to", "two.csv"], "two.csv: 2 targets; expected one pose"),
         (["a.obj", "--out", "taken"], "`dgrasp grasp` did not write it"),
         (["a.obj", "--out", "a.obj"], "is not a folder"),
+        (["a.obj", "--out", "a.obj/b"], "is not a folder that can be written to"),
         (["a.obj", "--out", "."], "the current folder"),
         (["a.obj", "--policy", "none.pt"], "none.pt: no such file"),
         (["a.obj", "--hand", "claw"], "claw: no hand"),

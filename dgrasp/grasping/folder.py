@@ -1,33 +1,24 @@
-"""From labels of one object to ranked grasps: test them, carry those that hold, and write a folder with all of it."""
+"""The folder that `dgrasp grasp` writes: the ranking as JSON, a report with replays, the labels, and sequences."""
 
 from __future__ import annotations
 
 import json
 import os
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from dgrasp.config.experiment import Config
 from dgrasp.config.sections import INERTIA
-from dgrasp.data import DataChoice
-from dgrasp.errors import ConfigError, DataError
-from dgrasp.eval.summary import Result, Row
-from dgrasp.evaluation import evaluate_choice, evaluate_motion
+from dgrasp.errors import DataError
 from dgrasp.export.collect import display_meshes, sequences
 from dgrasp.export.glb import glb_bytes
 from dgrasp.export.sequence import file_name, write_sequence
 from dgrasp.files.atomic import replaced_folder, write_atomic
-from dgrasp.hand.model import HandModel
-from dgrasp.methods import PolicyMethod
-from dgrasp.methods.method import Method
-from dgrasp.motion.targets import TargetSet
-from dgrasp.pool import PoolSpec
+from dgrasp.grasping.grasps import Grasps
 from dgrasp.report.grasps import grasps_page
-from dgrasp.types import EpisodeRecord
 
 SCHEMA = 1
 MADE_BY = "dgrasp grasp"
@@ -37,65 +28,12 @@ _OF_SEQUENCES = (".npz", ".glb", ".html")
 """Suffixes of the files in `SEQUENCES`; `dgrasp view` writes its page beside the sequences."""
 
 
-@dataclass(frozen=True, eq=False)
-class Grasps:
-    """The tested grasps of one object.
-
-    result, records, spec: of the stability test, in the label file's order. order: places of the grasps, best first.
-    motion: the result of the motion, if there was one. motions: place of a grasp that holds -> its row and record.
-    """
-
-    choice: DataChoice
-    result: Result
-    records: list[EpisodeRecord]
-    spec: PoolSpec
-    order: list[int]
-    motion: Result | None = None
-    motions: dict[int, tuple[Row, EpisodeRecord]] = field(default_factory=dict)
-
-    @property
-    def held(self) -> list[int]:
-        """Places of the grasps that hold, best first."""
-        return [i for i in self.order if self.result.per_label[i]["success"]]
-
-    @property
-    def carried(self) -> list[int]:
-        """Places of the grasps whose object was carried to the end of the motion, best first."""
-        return [i for i in self.held if i in self.motions and self.motions[i][0]["carried"]]
-
-    def verdict(self) -> str:
-        """How many grasps hold, and how many are carried, in words."""
-        text = f"{len(self.held)} of {len(self.order)} grasps hold for {self.result.window_s:g} s"
-        if self.motion is not None:
-            text += f", {len(self.carried)} of {len(self.held)} carry the object to the end of the motion"
-        return text
-
-
-def ranking(rows: Sequence[Row]) -> list[int]:
-    """Places of the rows, best first: held grasps before lost ones, each kind by SimDist, the smallest first."""
-    return sorted(range(len(rows)), key=lambda i: (not rows[i]["success"],
-                                                   rows[i].get("sim_dist_mm_per_step", np.inf), i))
-
-
-def check_policy(method: Method, hand: HandModel, named: str) -> None:
-    """Raise `ConfigError` for a policy that does not grasp, or that was trained for another hand.
-
-    named: the policy as the user gave it.
-    """
-    if not isinstance(method, PolicyMethod) or method.task != "grasp":
-        raise ConfigError(f"--policy {named}: a policy for task {method.task}; expected one that grasps (task grasp)")
-    trained = (method.trained_on or {}).get("hand")
-    if isinstance(trained, str) and trained != hand.id:
-        raise ConfigError(f"--policy {named}: trained for the hand {trained!r:.60}, but --hand is {hand.id!r}; "
-                          "expected a hand and a policy that belong together")
-    if method.policy.action_size != hand.layout.n_dof:
-        raise ConfigError(f"--policy {named}: {method.policy.action_size} actions, but the hand {hand.id!r} has "
-                          f"{hand.layout.n_dof} degrees of freedom; expected a hand and a policy that belong together")
-
-
 def check_out(folder: Path) -> None:
     """Raise `DataError` unless `folder` is new, empty, or one that `write_grasps` wrote and nobody added to."""
     if not os.path.lexists(folder):
+        above = next(path for path in folder.absolute().parents if path.exists())
+        if not (above.is_dir() and os.access(above, os.W_OK)):
+            raise DataError(f"--out {folder}: {above} is not a folder that can be written to; choose another place")
         return
     if not folder.is_dir():
         raise DataError(f"--out {folder}: exists and is not a folder; choose another one")
@@ -118,23 +56,6 @@ def check_out(folder: Path) -> None:
     if foreign:
         raise DataError(f"--out {folder}: holds {foreign[0]}, which `{MADE_BY}` did not write and would remove; choose "
                         "another folder, or move that file")
-
-
-def try_grasps(method: Method, config: Config, choice: DataChoice) -> Grasps:
-    """Grasp from each of the chosen labels, which are of one object, and take the table away."""
-    result, records, spec = evaluate_choice(method, config, choice)
-    return Grasps(choice, result, records, spec, ranking(result.per_label))
-
-
-def carry(grasps: Grasps, method: Method, config: Config, target: TargetSet) -> Grasps:
-    """The grasps with the motions to a target of those that hold, of which there is at least one."""
-    places, of = sorted(grasps.held), grasps.choice.labels
-    held = replace(grasps.choice, labels=replace(of, labels=[of.labels[i] for i in places]))
-    # They have passed the stability test already.
-    config = config.model_copy(update={"motion": config.motion.model_copy(update={"stable_alone": False})})
-    result, records, _ = evaluate_motion(method, config, held, target)
-    motions = dict(zip(places, zip(result.per_label, records, strict=True), strict=True))
-    return replace(grasps, motion=result, motions=motions)
 
 
 def summary(grasps: Grasps, policy: Mapping[str, Any]) -> dict[str, Any]:
