@@ -28,9 +28,9 @@ COMMANDS = {
     "hand build": "dgrasp.commands.hand_build",
     "hand report": "dgrasp.commands.hand_report",
     "object add": "dgrasp.commands.object_add",
-    "labels import dexycb": "dgrasp.commands.labels_import_dexycb",
-    "labels import ho3d": "dgrasp.commands.labels_import_ho3d",
-    "labels import mano": "dgrasp.commands.labels_import_mano",
+    "labels import dexycb": "dgrasp.commands.labels_import.dexycb",
+    "labels import ho3d": "dgrasp.commands.labels_import.ho3d",
+    "labels import mano": "dgrasp.commands.labels_import.mano",
     "labels make": "dgrasp.commands.labels_make",
     "labels check": "dgrasp.commands.labels_check",
 }
