@@ -10,12 +10,17 @@ from typing import Any
 
 import numpy as np
 import pytest
+import torch
 
 from dgrasp.cli import run_command
+from dgrasp.config.experiment import load_config
 from dgrasp.export.sequence import read_sequence
 from dgrasp.files.paths import data_root
 from dgrasp.grasping.grasps import ranking
 from dgrasp.labels.formats.native import read_native_with_meta
+from dgrasp.rl.networks import ActorCritic
+from dgrasp.rl.run.checkpoint import Checkpoint
+from dgrasp.rl.run.weights import write_weights
 from dgrasp.synthesis import making
 from dgrasp.synthesis.synthesiser import Synthesiser
 from raisim_like.rotations import transform
@@ -98,14 +103,14 @@ def test_the_same_seed_makes_the_same_again_from_the_added_object(line: dict[str
 
 
 def canned(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Two labels in the place of synthesised ones: a hand far above a sugar box, then one that grasps it."""
+    """One or two labels in the place of synthesised ones: a hand far above a sugar box, then one that grasps it."""
     free, _ = read_native_with_meta(data_root() / "free" / "labels" / "free_test.npz")
     far = make_label(free_hand())
     assert far.start is not None
     start = replace(far.start, T_WH=UP @ far.start.T_WH)
     far = replace(far, T_WH=UP @ far.T_WH, joints_W=far.joints_W + UP[:3, 3], start=start)
     good = next(label for label in free if label.object_id == SUGAR)
-    monkeypatch.setattr(making, "make_labels", lambda *_: ([far, good], {"held": 1}))
+    monkeypatch.setattr(making, "make_labels", lambda *given: ([far, good][: given[2]], {"held": 1}))
 
 
 def test_a_lost_grasp_comes_last_and_has_no_file(
@@ -132,6 +137,36 @@ def test_a_lost_grasp_comes_last_and_has_no_file(
     (out / "notes.txt").write_text("mine")
     assert run_command("grasp", words) == 2
     assert "notes.txt" in capsys.readouterr().err and (out / "notes.txt").read_text() == "mine"
+
+
+def test_where_nothing_holds_nothing_is_carried(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pytest.importorskip("mujoco")
+    canned(monkeypatch)
+    words = [SUGAR, "--number", "1", "--engine", "mujoco", "--out", str(tmp_path / "none"), "--to", "0 0 0.1", *SHORT]
+    assert run_command("grasp", words) == 0
+    found = json.loads((tmp_path / "none" / "grasps.json").read_text())
+    assert found["n_held"] == 0 and "to" not in found and "n_carried" not in found
+    assert list((tmp_path / "none" / "sequences").iterdir()) == []
+    shown = capsys.readouterr().out
+    assert "0 of 1 grasps hold for 1 s" in shown and "next: the same command with another --seed" in shown
+
+
+def test_another_hand_with_its_own_policy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("mujoco")
+    hand = write_three_fingers(tmp_path / "three.urdf")
+    config, data = load_config(None).model_dump(mode="json"), {"hand": "three"}
+    model = ActorCritic(102, 12, [4], 1.0, torch.Generator().manual_seed(0))
+    policy = tmp_path / "three.safetensors"
+    write_weights(policy, Checkpoint(1, model.state_dict(), {}, 1e-3, model.architecture(), config, data, "0", None))
+    monkeypatch.setattr(Synthesiser, "make", partialmethod(Synthesiser.make, batch=36, iterations=30))
+    words = ["061_foam_brick", "--hand", str(hand), "--number", "2", "--seed", "3", "--engine", "mujoco", *SHORT]
+    out = tmp_path / "brick"
+    assert run_command("grasp", [*words, "--policy", str(policy), "--out", str(out)]) == 0
+    found = json.loads((out / "grasps.json").read_text())
+    assert (found["hand"], found["policy"], found["n_grasps"]) == ("three", "three.safetensors", 2)
+    assert len(list((out / "sequences").glob("*.npz"))) == found["n_held"]
 
 
 def test_held_grasps_come_first_then_small_distances() -> None:
