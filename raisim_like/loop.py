@@ -33,8 +33,8 @@ class _Row:
 class LoopBatch:
     """A `WorldBatch` over `World` objects of one engine. See `WorldBatch` for the methods."""
 
-    def __init__(self, engine: str, specs: Sequence[WorldSpec], state: BatchState) -> None:
-        self.engine, self.specs, self.state = engine, specs, state
+    def __init__(self, engine: str, specs: Sequence[WorldSpec], state: BatchState, threads: int = 1) -> None:
+        self.engine, self.specs, self.state, self._threads = engine, specs, state, threads
         self._rows = [_Row(spec, engine) for spec in specs]
         self._retired_seconds = np.zeros(len(specs))
 
@@ -93,7 +93,7 @@ class LoopBatch:
             row = self._rows[i]
             for system, part in row.driven:
                 row.engine_world.set_pd_target(system, targets[i, part])
-        integrate([self._rows[i].world for i in rows], substeps)
+        integrate([self._rows[i].world for i in rows], substeps, self._threads)
         for i in rows:
             self._read(i)
 

@@ -16,9 +16,9 @@ from raisim_like.loop import LoopBatch
 
 
 class BatchMaker(Protocol):
-    """Makes a batch of worlds that writes into `state`."""
+    """Makes a batch of worlds that writes into `state`. threads: see `make_batch`."""
 
-    def __call__(self, specs: Sequence[WorldSpec], state: BatchState) -> WorldBatch: ...
+    def __call__(self, specs: Sequence[WorldSpec], state: BatchState, threads: int = 1) -> WorldBatch: ...
 
 
 def _loop(engine: str) -> BatchMaker:
@@ -57,6 +57,9 @@ def find_engine(name: str) -> BatchMaker:
     return BATCHES[name]()
 
 
-def make_batch(engine: str, specs: Sequence[WorldSpec], state: BatchState) -> WorldBatch:
-    """A batch of worlds with these specifications on the engine of that name. Raises the errors of `find_engine`."""
-    return find_engine(engine)(specs, state)
+def make_batch(engine: str, specs: Sequence[WorldSpec], state: BatchState, threads: int = 1) -> WorldBatch:
+    """A batch of worlds with these specifications on the engine of that name. Raises the errors of `find_engine`.
+
+    threads: how many worlds may step side by side, on an engine that can (`engines.steps_in_threads`).
+    """
+    return find_engine(engine)(specs, state, threads)

@@ -196,13 +196,16 @@ class World:
         integrate([self], substeps)
 
 
-def integrate(worlds: Sequence[World], substeps: int = 1) -> None:
-    """Advance several worlds of one engine together, so that their control is batched."""
+def integrate(worlds: Sequence[World], substeps: int = 1, threads: int = 1) -> None:
+    """Advance several worlds of one engine together, so that their control is batched.
+
+    threads: how many of them may step side by side (see `engines.steps_in_threads`); the result is the same to the bit.
+    """
     if not worlds:
         return
     engine = worlds[0].engine
     if any(world.engine.name != engine.name for world in worlds):
         raise EngineError("worlds of different engines cannot be integrated together")
-    engine.integrate([world.engine_world for world in worlds], substeps)
+    engine.integrate([world.engine_world for world in worlds], substeps, threads)
     for world in worlds:
         world.world_time += substeps * world.timestep

@@ -48,7 +48,7 @@ class GraspEnv:
 
     indices: the places of the labels in the whole set. They seed the environments, so an environment's noise does not
     depend on how the set is divided over processes. total: the size of the whole set. events: messages for the user.
-    grasp: the frozen grasping policy of a task that has one.
+    grasp: the frozen grasping policy of a task that has one. threads: how many worlds may step side by side.
     """
 
     labels: Sequence[GraspLabel]
@@ -59,6 +59,7 @@ class GraspEnv:
     total: int = 0
     events: list[str] = field(default_factory=list)
     grasp: Actor | None = None
+    threads: int = 1
 
     def __post_init__(self) -> None:
         n = len(self.labels)
@@ -75,7 +76,7 @@ class GraspEnv:
         self.o = Step.allocate(n, self.layer.size, len(self.reward.names))
         self.goal = make_goal(self.labels)
         self.starts = [start_pose(label, self.hand) for label in self.labels]
-        self.worlds = Worlds(self.labels, self.hand, self.objects, self.config, self.s)
+        self.worlds = Worlds(self.labels, self.hand, self.objects, self.config, self.s, self.threads)
         self._target = np.zeros((n, layout.n_dof))
         self._limits = self.hand.limits.T.copy()
         self._rng: dict[int, np.random.Generator] = {}

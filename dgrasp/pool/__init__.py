@@ -1,4 +1,7 @@
-"""Pools that run environments. `serial` is the reference; tests check that the others equal it to the bit."""
+"""Pools that run environments. `serial` is the reference; tests check that the others equal it to the bit.
+
+`thread` is the serial pool with worlds that step side by side.
+"""
 
 from __future__ import annotations
 
@@ -21,18 +24,14 @@ def pool_kind(config: Config) -> str:
 def make_pool(spec: PoolSpec) -> Pool:
     """The pool that the config names; `workers: null` means one worker per core, on Ray one per CPU of the cluster."""
     kind, workers = pool_kind(spec.config), spec.config.pool.workers or cores()
-    if kind == "serial":
+    if kind in ("serial", "thread"):
         from dgrasp.pool.serial import SerialPool
 
-        return SerialPool(spec)
+        return SerialPool(spec, min(workers, len(spec.labels)) if kind == "thread" else 1)
     if kind == "ray":
         from dgrasp.pool.ray import RayPool
 
         return RayPool(spec)
-    if kind == "thread":
-        from dgrasp.pool.thread import ThreadPool
-
-        return ThreadPool(spec, workers)
     from dgrasp.pool.process import ProcessPool
 
     return ProcessPool(spec, workers)

@@ -56,12 +56,12 @@ class PoolSpec:
     grasp: Actor | None = None
 
 
-def make_env(spec: PoolSpec, rows: slice = slice(None)) -> GraspEnv:
-    """Make the environments of some labels, of the kind that `env.task` names."""
+def make_env(spec: PoolSpec, rows: slice = slice(None), threads: int = 1) -> GraspEnv:
+    """Make the environments of some labels, of the kind that `env.task` names. threads: see `GraspEnv`."""
     indices = list(range(len(spec.labels)))[rows]
     labels = [spec.labels[i] for i in indices]
-    kind = ENVS[spec.config.env.task]
-    return kind(labels, spec.hand, spec.objects, spec.config, indices, len(spec.labels), grasp=spec.grasp)
+    kind, total = ENVS[spec.config.env.task], len(spec.labels)
+    return kind(labels, spec.hand, spec.objects, spec.config, indices, total, grasp=spec.grasp, threads=threads)
 
 
 class SizedPool:

@@ -1,4 +1,4 @@
-"""All environments in this process. This pool is the reference that the process pool must equal."""
+"""All environments in this process. With one thread, this pool is the reference that all others must equal."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from dgrasp.types import Array
 
 
 class SerialPool:
-    """See `Pool`."""
+    """See `Pool`. threads: how many worlds step side by side; the result is the same to the bit."""
 
-    def __init__(self, spec: PoolSpec) -> None:
-        self.env = make_env(spec)
+    def __init__(self, spec: PoolSpec, threads: int = 1) -> None:
+        self.env, self._threads = make_env(spec, threads=threads), threads
         self.labels, self.state = spec.labels, self.env.s
         self.num_envs, self.action_size = self.env.num_envs, self.env.action_size
         self.observation_size, self.reward_terms = self.env.observation_size, self.env.reward_terms
@@ -51,7 +51,9 @@ class SerialPool:
     def timing(self) -> dict[str, float]:
         wall = time.perf_counter() - self._start[0]
         physics = self.env.step_seconds - self._start[1]
-        return {"physics_share": physics / max(wall, 1e-9), "physics_s": physics, "wall_s": wall, "workers": 1.0}
+        share = physics / max(wall * self._threads, 1e-9)
+        workers = float(self._threads)
+        return {"physics_share": share, "physics_s": physics, "wall_s": wall, "workers": workers}
 
     def drain_events(self) -> list[str]:
         events, self.env.events = self.env.events, []

@@ -33,15 +33,15 @@ class Actor:
         The network reads the first columns of the observations, as many as its first layer has inputs. Rows are
         computed one by one, so the result for a row does not depend, to the bit, on the other rows.
         """
-        inputs = self.layers[0][0].shape[1]
-        for x, row in zip(observations[:, :inputs], out, strict=True):
-            for weight, bias in self.layers[:-1]:
-                x = weight @ x
-                x += bias
-                x = np.maximum(x, LEAK * x)
-            weight, bias = self.layers[-1]
-            np.matmul(weight, x, out=row)
-            row += bias
+        # A stack of matrix-vector products: NumPy computes them one by one.
+        x = observations[:, : self.layers[0][0].shape[1], None]
+        for weight, bias in self.layers[:-1]:
+            x = np.matmul(weight, x)
+            x += bias[:, None]
+            x = np.maximum(x, LEAK * x)
+        weight, bias = self.layers[-1]
+        np.matmul(weight, x, out=out[:, :, None])
+        out += bias
 
     def noise(self, epoch: int, index: int, steps: int) -> Array:
         """(steps, A) standard normal float32 noise of one environment in one epoch."""

@@ -37,14 +37,14 @@ class Worlds:
 
     def __init__(
         self, labels: Sequence[GraspLabel], hand: HandModel, objects: Mapping[str, ObjectModel], config: Config,
-        state: SceneState,
+        state: SceneState, threads: int = 1,
     ) -> None:  # fmt: skip
         self.hand, self.config, self.s = hand, config, state
         self.specs = [self._spec(label, objects[label.object_id]) for label in labels]
         state.object_mass[:] = [spec.bodies[OBJECT].mass for spec in self.specs]
         n = len(labels)
         bodies = np.zeros((n, 2, 13))
-        self.batch = make_batch(config.engine, self.specs, BatchState(state.gc, state.gv, bodies))
+        self.batch = make_batch(config.engine, self.specs, BatchState(state.gc, state.gv, bodies), threads)
         self._object_state = bodies[:, OBJECT]
         self._link_impulse = np.zeros((n, hand.urdf.dof))
 

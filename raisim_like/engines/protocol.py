@@ -130,5 +130,5 @@ class Engine(Protocol):
     def make_world(self, timestep: float, preset: Preset) -> EngineWorld:
         """A new empty world."""
 
-    def integrate(self, worlds: Sequence[EngineWorld], substeps: int) -> None:
+    def integrate(self, worlds: Sequence[EngineWorld], substeps: int, threads: int = 1) -> None:
         """Advance all worlds by `substeps` timesteps, PD control included."""

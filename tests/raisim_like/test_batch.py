@@ -283,7 +283,7 @@ def test_a_new_engine_is_one_line_of_the_registry(
 ) -> None:
     asked: list[int] = []
 
-    def maker(specs: Sequence[WorldSpec], state: BatchState) -> WorldBatch:
+    def maker(specs: Sequence[WorldSpec], state: BatchState, threads: int = 1) -> WorldBatch:
         asked.append(len(specs))
         return find_engine("mujoco")(specs, state)
 

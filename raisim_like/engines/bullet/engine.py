@@ -25,7 +25,7 @@ class BulletEngine:
     def make_world(self, timestep: float, preset: Preset) -> EngineWorld:
         return BulletWorld(timestep, preset)
 
-    def integrate(self, worlds: Sequence[EngineWorld], substeps: int) -> None:
+    def integrate(self, worlds: Sequence[EngineWorld], substeps: int, threads: int = 1) -> None:
         mine = [w for w in worlds if isinstance(w, BulletWorld)]
         pushed = [w for w in mine if w.begin_pending()] if substeps else []
         if pushed:

@@ -5,6 +5,8 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor, wait
+from functools import cache
 
 import mujoco as mj
 import numpy as np
@@ -250,8 +252,29 @@ class MujocoEngine:
     def make_world(self, timestep: float, preset: Preset) -> EngineWorld:
         return MujocoWorld(timestep, preset)
 
-    def integrate(self, worlds: Sequence[EngineWorld], substeps: int) -> None:
-        # Control is part of the model, so each world takes all of its substeps at once.
-        for world in worlds:
-            if isinstance(world, MujocoWorld):
+    def integrate(self, worlds: Sequence[EngineWorld], substeps: int, threads: int = 1) -> None:
+        # Control is part of the model, so each world takes all of its substeps at once. Threads take the next world
+        # that is left: an iterator gives each of its items to one of them.
+        left = iter([world for world in worlds if isinstance(world, MujocoWorld)])
+
+        def run() -> None:
+            for world in left:
                 world.step(substeps)
+
+        if threads == 1:
+            run()
+            return
+        others = [_threads(threads - 1).submit(run) for _ in range(threads - 1)]
+        try:
+            run()
+        finally:
+            # After an error too, the others finish the worlds that are left.
+            wait(others)
+        for other in others:
+            other.result()
+
+
+@cache
+def _threads(count: int) -> ThreadPoolExecutor:
+    """Threads that wait for worlds to step; they end with the process."""
+    return ThreadPoolExecutor(count, "dgrasp-mujoco")
