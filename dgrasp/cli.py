@@ -55,8 +55,8 @@ Dynamic grasps from static grasp labels, on open physics (D-Grasp, CVPR 2022).
 commands:
   train    train a grasping policy
   test     evaluate a policy or a baseline
-  grasp    from a mesh to ranked grasps in the simulator: dgrasp grasp cup.stl --units mm
   demo     test the shipped policy and train briefly on the free set, with replays
+  grasp    from a mesh to ranked grasps in the simulator: dgrasp grasp cup.stl --units mm
   runs     list training runs, or compare two
   publish  write a trained policy as one small file
   view     show stored sequences as a page of replays
