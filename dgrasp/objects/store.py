@@ -79,7 +79,7 @@ def find_object(name: str, folders: Sequence[Path]) -> StoredObject:
     raise DataError(f"unknown object {name!r}: not one of the 20, and not in {' or '.join(map(str, folders))} (there: "
                     f"{', '.join(there[:20]) or 'nothing'}){nearest(name, [*there, *YCB_NAMES.values()])}; add its "
                     f"mesh with `dgrasp object add MESH --name {name}`, or name its folder with objects=DIR "
-                    "(labels check, labels make: --store DIR)")
+                    "(labels check, labels make, grasp: --store DIR)")
 
 
 def load_object(folder: Path, official_compat: bool, parts: bool = False) -> ObjectModel:
