@@ -50,15 +50,20 @@ def build_hand(choice: DataChoice) -> HandModel:
     return hand
 
 
+def require_engine(name: str, where: str) -> None:
+    """Raise `ConfigError` if an engine is not installed. where: the key or option that names it."""
+    try:
+        find_engine(name)
+    except EngineError as error:
+        raise ConfigError(f"{where}: {error}") from None
+
+
 def build_spec(choice: DataChoice, config: Config) -> PoolSpec:
     """The specification of a pool for the chosen labels.
 
     Raises `ConfigError` if the engine is not installed, or if `motion.policy` cannot make the grasps of the task.
     """
-    try:
-        find_engine(config.engine)
-    except EngineError as error:
-        raise ConfigError(f"engine: {error}") from None
+    require_engine(config.engine, "engine")
     hand = build_hand(choice)
     grasp = frozen_policy(config, hand.layout)
     objects = build_objects(choice, config)

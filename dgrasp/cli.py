@@ -20,6 +20,7 @@ COMMANDS = {
     "train": "dgrasp.commands.train",
     "test": "dgrasp.commands.test",
     "demo": "dgrasp.commands.demo",
+    "grasp": "dgrasp.commands.grasp",
     "runs": "dgrasp.commands.runs",
     "publish": "dgrasp.commands.publish",
     "export": "dgrasp.commands.export",
@@ -27,9 +28,9 @@ COMMANDS = {
     "hand build": "dgrasp.commands.hand_build",
     "hand report": "dgrasp.commands.hand_report",
     "object add": "dgrasp.commands.object_add",
-    "labels import dexycb": "dgrasp.commands.labels_import_dexycb",
-    "labels import ho3d": "dgrasp.commands.labels_import_ho3d",
-    "labels import mano": "dgrasp.commands.labels_import_mano",
+    "labels import dexycb": "dgrasp.commands.labels_import.dexycb",
+    "labels import ho3d": "dgrasp.commands.labels_import.ho3d",
+    "labels import mano": "dgrasp.commands.labels_import.mano",
     "labels make": "dgrasp.commands.labels_make",
     "labels check": "dgrasp.commands.labels_check",
 }
@@ -55,6 +56,7 @@ commands:
   train    train a grasping policy
   test     evaluate a policy or a baseline
   demo     test the shipped policy and train briefly on the free set, with replays
+  grasp    from a mesh to ranked grasps in the simulator: dgrasp grasp cup.stl --units mm
   runs     list training runs, or compare two
   publish  write a trained policy as one small file
   view     show stored sequences as a page of replays

@@ -16,6 +16,7 @@ from dgrasp.eval.motion import check_moves, choose_targets, motion_result, run_m
 from dgrasp.eval.summary import Result, label_row, summarise
 from dgrasp.geometry.intersection import Body
 from dgrasp.methods.method import Method
+from dgrasp.motion.targets import TargetSet
 from dgrasp.objects.body import ObjectBody
 from dgrasp.pool import PoolSpec
 from dgrasp.rl.run.interrupts import check_interrupted
@@ -46,11 +47,11 @@ def evaluate_choice(
 
 
 def evaluate_motion(
-    method: Method, config: Config, choice: DataChoice
+    method: Method, config: Config, choice: DataChoice, targets: TargetSet | None = None
 ) -> tuple[Result, list[EpisodeRecord], PoolSpec]:
-    """Evaluate a method that carries the chosen labels' objects to the targets of `motion.targets`."""
+    """Evaluate a method that carries the chosen labels' objects to targets: those of `motion.targets` unless given."""
     check_moves(method)
-    targets = choose_targets(config, choice)
+    targets = targets or choose_targets(config, choice)
     chosen = build_spec(choice, config)
     spec = method.prepare(chosen, lambda: _surfaces(build_bodies(choice, chosen.objects)))
     one_thread()

@@ -79,11 +79,22 @@ class Asked:
 
 
 def make_request(asked: Asked) -> Request:
-    """The evaluation that `asked` specifies.
+    """The evaluation that `asked` specifies, with its data found. Raises what `method_and_config` and `resolve` raise.
 
-    A method that always moves objects gets the data's usual targets if the config names none. `ConfigError` if no
-    method or more than one is named, if the method cannot take the policy, or if the config has another task or other
-    inputs and outputs (`SENSES`) than the policy.
+    A method that always moves objects gets the data's usual targets if the config names none.
+    """
+    method, config = method_and_config(asked)
+    choice = resolve(config)
+    if method.motion == "always" and config.motion.targets is None:
+        config = config.model_copy(update={"motion": config.motion.model_copy(update={"targets": usual_set(choice)})})
+    return Request(config, method, choice)
+
+
+def method_and_config(asked: Asked) -> tuple[Method, Config]:
+    """The method and the config that `asked` specifies, before any data is looked for.
+
+    `ConfigError` if no method or more than one is named, if the method cannot take the policy, or if the config has
+    another task or other inputs and outputs (`SENSES`) than the policy.
     """
     kind = METHODS[asked.baseline or PolicyMethod.name]
     kind.check_policy(asked.given)
@@ -95,10 +106,7 @@ def make_request(asked: Asked) -> Request:
     method = kind.make(None if saved is None else method_of(saved), str(asked.run or asked.policy))
     config = config_of(asked, path, saved)
     method.check(config)
-    choice = resolve(config)
-    if method.motion == "always" and config.motion.targets is None:
-        config = config.model_copy(update={"motion": config.motion.model_copy(update={"targets": usual_set(choice)})})
-    return Request(config, method, choice)
+    return method, config
 
 
 def read_saved(path: Path) -> SavedPolicy:

@@ -13,7 +13,7 @@ ROOMS = {
     "dgrasp": [
         "version", "errors", "types", "files", "config", "geometry", "hand", "objects", "scene", "labels", "motion",
         "control", "rl", "env", "pool", "methods", "data", "build", "eval", "synthesis", "view", "export", "report",
-        "evaluation", "training", "request", "tables", "gym", "commands", "cli", "__main__",
+        "evaluation", "training", "request", "grasping", "tables", "gym", "commands", "cli", "__main__",
     ],
     "raisim_like": [
         "errors", "rotations", "shapes", "shape_inertia", "contact", "urdf_gaps", "mimic", "urdf", "kinematics",

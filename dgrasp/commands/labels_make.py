@@ -17,21 +17,19 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from dgrasp.config.experiment import Config, make_config
+from dgrasp.config.names import MOST_LABELS
 from dgrasp.config.sections import INERTIA, which_inertia
 from dgrasp.errors import ConfigError, DataError
-from dgrasp.files import licences
-from dgrasp.objects.names import LARGE_CLAMP, YCB_NAMES, resolve_object
-from dgrasp.objects.store import default_store, find_object, load_object
+from dgrasp.objects.find import build_named, find_named
+from dgrasp.objects.names import YCB_NAMES
 from dgrasp.types import GraspLabel
 from dgrasp.version import __version__
 from raisim_like.engines import default_engine
-from raisim_like.errors import EngineError
-from raisim_like.registry import BATCHES, CONCAVE_MESHES, find_engine
+from raisim_like.registry import BATCHES
 
 if TYPE_CHECKING:
     from dgrasp.hand.store import NamedHand
     from dgrasp.objects.model import ObjectModel
-    from dgrasp.objects.store import StoredObject
 
 HELP = """\
 Make static grasp labels for a hand and objects by gradient descent (contact, force closure, penetration, joint limits,
@@ -43,7 +41,6 @@ examples:
   dgrasp labels make --objects all --number 25 --test 124 --out free.npz      (free_train.npz and free_test.npz)
   dgrasp labels make --objects my_vase --number 50 --hand hands/mine --out vase.npz
 """
-MAX_NUMBER = 1000
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -141,22 +138,23 @@ def _tasks(arguments: argparse.Namespace) -> tuple[list[_Task], NamedHand]:
     out = arguments.out
     if out.suffix != ".npz" or not out.parent.is_dir():
         raise DataError(f"--out {out}: expected the name of a .npz file in a folder that exists")
-    if not 1 <= arguments.number <= MAX_NUMBER:
-        raise ConfigError(f"--number {arguments.number}: expected 1 to {MAX_NUMBER} labels per object")
+    if not 1 <= arguments.number <= MOST_LABELS:
+        raise ConfigError(f"--number {arguments.number}: expected 1 to {MOST_LABELS} labels per object")
     if arguments.seed < 0 or (arguments.workers is not None and arguments.workers < 1):
         raise ConfigError(f"--seed {arguments.seed} --workers {arguments.workers}: expected a seed of at least 0, and "
                           "at least one process")
     wanted = list(YCB_NAMES.values()) if arguments.objects == ["all"] else list(dict.fromkeys(arguments.objects))
-    found = [_find(name, arguments.store) for name in wanted]
+    found = [find_named(name, arguments.store) for name in wanted]
     config = make_config({"engine": arguments.engine}, "labels make")
 
+    from dgrasp.build import require_engine
     from dgrasp.hand.store import AUTHORS_HAND, open_hand
 
     data = None if arguments.data == "free" else Path(os.path.expanduser(arguments.data))
     name = arguments.hand or ("free" if data is None else str(data / "hand" / f"{AUTHORS_HAND}.urdf"))
     hand = open_hand(name)
-    _require_engine(arguments.engine)
-    models = list({model.name: model for model in (_object(entry, data, config) for entry in found)}.values())
+    require_engine(arguments.engine, "--engine")
+    models = list({model.name: model for model in (build_named(entry, data, config) for entry in found)}.values())
     same = [hand.model.id, __version__, arguments.number, arguments.seed, arguments.engine]
     return [
         _Task(name, model, arguments.number, arguments.seed, config, _part_name(model, same)) for model in models
@@ -181,41 +179,6 @@ def _kept(
     path.parent.mkdir(exist_ok=True)
     write_native(path, made[0], made[1], "of a file that is not finished", hand.model.layout.names)
     return made
-
-
-def _require_engine(name: str) -> None:
-    try:
-        find_engine(name)
-    except EngineError as error:
-        raise ConfigError(f"--engine: {error}") from None
-
-
-def _find(name: str, store: Path | None) -> StoredObject | str:
-    """The added object of that name if there is one, else the full name of one of the 20."""
-    folder = store or default_store()
-    if (folder / name).is_dir():
-        return find_object(name, [folder])
-    try:
-        return resolve_object(name)
-    except DataError:
-        if name == LARGE_CLAMP:
-            raise
-        return find_object(name, [folder])
-
-
-def _object(found: StoredObject | str, data: Path | None, config: Config) -> ObjectModel:
-    """The model of an added object, or of one of the 20."""
-    from dgrasp.objects.free import free_object
-    from dgrasp.objects.release import release_object
-
-    physics, parts = config.physics, config.engine not in CONCAVE_MESHES
-    authors = physics.authors_inertia(False)
-    if not isinstance(found, str):
-        return load_object(found.folder, authors, parts)
-    if data is None:
-        return free_object(found, physics.masses, authors)
-    concave = "parts" if parts else physics.concave
-    return release_object(data / "objects", found, physics.masses, physics.authors_inertia(True), concave)
 
 
 def _files(arguments: argparse.Namespace, objects: int) -> list[Path]:
@@ -245,39 +208,27 @@ def _begin(shares: Any) -> None:
 
 
 def _make(task: _Task, index: int) -> tuple[list[GraspLabel], dict[str, Any]]:
-    """Synthesise the labels of one object; returns them and their figures. index: of its share."""
+    """The labels of one object and their figures. index: of its share."""
     from dgrasp.hand.store import open_hand
-    from dgrasp.synthesis.report import figures
-    from dgrasp.synthesis.synthesiser import Synthesiser
+    from dgrasp.synthesis.making import make_labels
 
     begin = time.process_time()
-    named = open_hand(task.hand)
-    digest = int.from_bytes(hashlib.sha256(task.model.name.encode()).digest()[:4], "big")
-    rng = np.random.default_rng([task.seed, digest])
 
     def report(share: float) -> None:
         _shares[index] = share
 
-    made = Synthesiser(named.model).make(task.model, task.count, rng, task.config, report=report)
-    row = figures(made, named, task.model)
-    report(1.0)
-    return made.labels, {**row, "cpu_s": round(time.process_time() - begin, 1)}
+    labels, row = make_labels(open_hand(task.hand), task.model, task.count, task.seed, task.config, report)
+    return labels, {**row, "cpu_s": round(time.process_time() - begin, 1)}
 
 
 def _write(files: list[Path], made: list[list[GraspLabel]], arguments: argparse.Namespace, hand: NamedHand,
            figures: dict[str, dict[str, Any]], inertia: str) -> None:
-    from dgrasp.labels.formats.native import write_native
     from dgrasp.labels.recorded.making import numbered, split
+    from dgrasp.synthesis.making import write_labels
 
     everything = [label for labels in made for label in labels]
     parts = [numbered(everything)] if len(files) == 1 else split(made, arguments.test, arguments.seed)
-    free = hand.model.id == "free" and arguments.data == "free" and all(
-        label.object_id in YCB_NAMES.values() for label in everything
-    )
-    licence = licences.PROJECT if free else licences.OF_ITS_ORIGINS
-    figures = {name: {key: value for key, value in row.items() if key != "cpu_s"} for name, row in figures.items()}
-    provenance = {"made_by": "dgrasp labels make", "seed": arguments.seed, "engine": arguments.engine,
-                  "inertia": inertia, "per_object": figures}
+    licence = write_labels(dict(zip(files, parts, strict=True)), hand, figures, arguments.data == "free",
+                           seed=arguments.seed, engine=arguments.engine, inertia=inertia)
     for path, part in zip(files, parts, strict=True):
-        write_native(path, part, provenance, licence, hand.model.layout.names)
         print(f"wrote {path}: {len(part)} labels, {path.stat().st_size} bytes; licence: {licence}")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import re
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,8 +14,7 @@ from rich.table import Table
 from dgrasp.config.names import DENSITY, OVERLAP, PRIMITIVES
 from dgrasp.errors import DataError
 from dgrasp.objects.add.mesh_reader import FORMATS, SCALES
-from dgrasp.objects.names import YCB_NAMES
-from dgrasp.objects.store import NAME, PICTURE_FILE, default_store
+from dgrasp.objects.store import PICTURE_FILE, check_name, clean_name, default_store
 
 if TYPE_CHECKING:
     from dgrasp.objects.add.add import Added, Mass
@@ -72,10 +70,7 @@ def main(arguments: argparse.Namespace) -> int:
     added, refused = [], []
     for file, name in _files(arguments):
         try:
-            if not NAME.fullmatch(name) or name in YCB_NAMES.values():
-                why = "is one of the 20" if name in YCB_NAMES.values() else "expected letters, digits and _ . + -"
-                raise DataError(f"{file}: the name {name[:100]!r} cannot be given to an object ({why}); choose another "
-                                "name with --name")
+            check_name(name, file)
             added.append(add_object(file, to, name, arguments.units, _mass(arguments), arguments.shape,
                                     arguments.overlap, arguments.replace, arguments.scale))
         except DataError as error:
@@ -93,23 +88,19 @@ def _files(arguments: argparse.Namespace) -> list[tuple[Path, str]]:
     """Mesh files with the names of their objects."""
     path: Path = arguments.mesh
     if not path.is_dir():
-        return [(path, arguments.name or _clean(path.stem))]
+        return [(path, arguments.name or clean_name(path.stem))]
     for option in ("name", "center", "inertia"):
         if getattr(arguments, option) is not None:
             raise DataError(f"--{option}: {path} is a folder, but this option describes one object; add the file alone")
     files = sorted(p for p in path.rglob("*") if p.is_file() and p.suffix.lower()[1:] in FORMATS)
     if not files:
         raise DataError(f"{path}: no mesh in this folder; expected files of type {', '.join(FORMATS)}")
-    named = [(file, _clean("_".join(file.relative_to(path).with_suffix("").parts))) for file in files]
+    named = [(file, clean_name("_".join(file.relative_to(path).with_suffix("").parts))) for file in files]
     for index, (file, name) in enumerate(named):
         other = next((earlier for earlier, taken in named[:index] if taken == name), None)
         if other is not None:
             raise DataError(f"{file}: its object would be called {name!r}, like that of {other}; rename one of them")
     return named
-
-
-def _clean(text: str) -> str:
-    return re.sub(r"[^A-Za-z0-9_.+-]+", "_", text).lstrip("_.+-")
 
 
 def _mass(arguments: argparse.Namespace) -> Mass:

@@ -26,3 +26,5 @@ OVERLAP = 0.9
 """Overlap from which a single primitive is taken."""
 DENSITY = 500.0
 """kg/m^3 where neither mass nor density is given: household objects are part hollow."""
+MOST_LABELS = 1000
+"""Most labels of one object that are made at once."""

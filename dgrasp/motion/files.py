@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import json
+import os
 import zipfile
 from pathlib import Path
 from typing import Any
@@ -32,6 +33,11 @@ _EXPECTED = (
     f"in CSV the columns {', '.join(_WORLD)} (or {', '.join(_LABEL[:3])} for the frame of the label), optionally t"
 )
 
+_ONE_EXPECTED = (
+    "expected \"dx dy dz\" or \"dx dy dz qw qx qy qz\", a displacement in m and a rotation from where the object lies, "
+    "or a file of such a pose or trajectory"
+)
+
 
 def read_targets(path: Path, period: float) -> TargetSet:
     """Read the targets of a JSON, CSV or npz file, or of the authors' pickle. period: s per control step.
@@ -54,6 +60,32 @@ def read_targets(path: Path, period: float) -> TargetSet:
     if time is None:
         return TargetSet(path.name, T[:, None], relative)
     return TargetSet(path.name, sample(time, T, period)[None], relative)
+
+
+def read_target(text: str, period: float) -> TargetSet:
+    """One target or one trajectory: the text "dx dy dz [qw qx qy qz]", or a file as `read_targets` takes it.
+
+    The text is a displacement (m) and a rotation from the label's pose, along the world's axes. Raises `DataError`,
+    naming the option --to, for anything else, and for a file of several targets.
+    """
+    words = text.replace(",", " ").split()
+    try:
+        numbers = [float(word) for word in words]
+    except ValueError:
+        numbers = []
+    if not numbers:
+        path = Path(os.path.expanduser(text))
+        if not os.path.isfile(path):
+            raise DataError(f"--to {text!r:.100}: neither numbers nor a file; {_ONE_EXPECTED}")
+        found = read_targets(path, period)
+        if len(found.T) != 1:
+            raise DataError(f"--to {path}: {len(found.T)} targets; expected one pose, or one trajectory with times t "
+                            "(`dgrasp test --motion FILE` goes to each pose of a file)")
+        return found
+    if len(numbers) not in (3, 7):
+        raise DataError(f"--to {text!r:.100}: {len(numbers)} numbers; {_ONE_EXPECTED}")
+    columns = {"position": [numbers[:3]], "quaternion": [numbers[3:] or [1.0, 0.0, 0.0, 0.0]]}
+    return TargetSet(" ".join(words), _poses(Path(f"--to {text!r}"), columns)[:, None], relative=True)
 
 
 def _npz(path: Path, raw: bytes) -> dict[str, Any]:

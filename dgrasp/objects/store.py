@@ -40,6 +40,19 @@ def default_store() -> Path:
     return user_data_root() / "objects"
 
 
+def clean_name(text: str) -> str:
+    """A text such as a file's name as the name of an object; what names cannot have becomes an underscore."""
+    return re.sub(r"[^A-Za-z0-9_.+-]+", "_", text).lstrip("_.+-")
+
+
+def check_name(name: str, file: Path) -> None:
+    """Raise `DataError` if an object that is added from `file` cannot have this name."""
+    if not NAME.fullmatch(name) or name in YCB_NAMES.values():
+        why = "is one of the 20" if name in YCB_NAMES.values() else "expected letters, digits and _ . + -"
+        raise DataError(f"{file}: the name {name[:100]!r} cannot be given to an object ({why}); choose another name "
+                        "with --name")
+
+
 @dataclass(frozen=True)
 class StoredObject:
     """The folder of an added object, and its id, which ends in a hash of what the physics reads."""
@@ -66,7 +79,7 @@ def find_object(name: str, folders: Sequence[Path]) -> StoredObject:
     raise DataError(f"unknown object {name!r}: not one of the 20, and not in {' or '.join(map(str, folders))} (there: "
                     f"{', '.join(there[:20]) or 'nothing'}){nearest(name, [*there, *YCB_NAMES.values()])}; add its "
                     f"mesh with `dgrasp object add MESH --name {name}`, or name its folder with objects=DIR "
-                    "(labels check, labels make: --store DIR)")
+                    "(labels check, labels make, grasp: --store DIR)")
 
 
 def load_object(folder: Path, official_compat: bool, parts: bool = False) -> ObjectModel:

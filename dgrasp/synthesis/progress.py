@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Future, wait
+from contextlib import contextmanager
 from typing import TypeVar
 
 from rich.console import Console
@@ -121,3 +122,19 @@ class MakingProgress:
 
     def _done(self) -> float:
         return math.fsum(self._shares) / max(len(self._names), 1)
+
+
+@contextmanager
+def shown_progress(name: str) -> Iterator[Report]:
+    """Show how far one object is, while this process makes its labels; yields what is to be called with the share."""
+    shares = [0.0]
+    shown = MakingProgress([name], shares)
+
+    def report(share: float) -> None:
+        shares[0] = share
+        shown.show()
+
+    try:
+        yield report
+    finally:
+        shown.close()

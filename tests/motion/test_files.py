@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from dgrasp.errors import DataError
-from dgrasp.motion.files import read_targets
+from dgrasp.motion.files import read_target, read_targets
 from dgrasp.motion.targets import EASY_FILE
 from tests.reference import reference_or_skip
 
@@ -116,3 +116,18 @@ def test_csv_of_spreadsheets_and_pandas(tmp_path: Path) -> None:
         (tmp_path / "a.csv").write_bytes(raw)
         T = read_targets(tmp_path / "a.csv", 0.01).T
         np.testing.assert_array_equal(T[0, 0, :3, 3], [0.5, 0.25, 1.0])
+
+
+def test_one_target_as_words_or_as_a_file(tmp_path: Path) -> None:
+    words = read_target(f"0.1 0 -0.2 {HALF[0]} 0 0 {HALF[3]}", PERIOD)
+    rows = f"dx,dy,dz,qw,qx,qy,qz\n0.1,0,-0.2,{HALF[0]},0,0,{HALF[3]}\n"
+    file = read_target(str(written(tmp_path, rows, "one.csv")), PERIOD)
+    turned = [[np.cos(0.5), -np.sin(0.5), 0.0], [np.sin(0.5), np.cos(0.5), 0.0], [0.0, 0.0, 1.0]]
+    for target in (words, file):
+        assert target.relative and target.T.shape == (1, 1, 4, 4)
+        assert np.allclose(target.T[0, 0, :3, 3], [0.1, 0.0, -0.2]) and np.allclose(target.T[0, 0, :3, :3], turned)
+    assert np.array_equal(read_target("0,0,0.2", PERIOD).T[0, 0, :3], [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0.2]])
+    path = read_target(str(written(tmp_path, {**LIST, "time": [0, 1]}, "path.json")), PERIOD)
+    assert path.T.shape == (1, 10, 4, 4)
+    with pytest.raises(DataError, match=r"--to .*: 2 targets; expected one pose, or one trajectory"):
+        read_target(str(written(tmp_path, LIST, "two.json")), PERIOD)
