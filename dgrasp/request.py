@@ -144,19 +144,20 @@ def _base(asked: Asked, path: Path | None, saved: SavedPolicy | None) -> tuple[s
         if not cfg.is_file():
             raise ConfigError(f"{asked.run}: not a run directory (no config.yaml); expected one that train.py made")
     if cfg is None and path is not None and saved is not None and saved.config:
-        # The engine with which a shared policy was trained may not be installed here.
-        values = shipped_values(saved) if asked.shipped else saved.config
-        told = ("engine",) if path.suffix == WEIGHTS_SUFFIX else ()
-        return str(path), {key: value for key, value in values.items() if key not in told}
+        return str(path), published_values(saved) if path.suffix == WEIGHTS_SUFFIX else saved.config
     cfg = cfg or find_config(Path("cfg/dexycb.yaml"))
     assert cfg is not None
     return str(cfg), read_values(cfg)
 
 
-def shipped_values(saved: SavedPolicy) -> dict[str, Any]:
-    """The config of the shipped policy. It was trained with the authors' inertia, but is tested with the data's own."""
-    physics = {key: value for key, value in saved.config.get("physics", {}).items() if key != "official_compat"}
-    return saved.config | {"physics": physics}
+def published_values(saved: SavedPolicy) -> dict[str, Any]:
+    """A published policy's config for a test: its own, but without its engine and inertia, which the test chooses.
+
+    The engine of its training may not be installed here. The shipped policy was trained with the authors' inertia.
+    """
+    values = {key: value for key, value in saved.config.items() if key != "engine"}
+    physics = {key: value for key, value in values.get("physics", {}).items() if key != "official_compat"}
+    return values | {"physics": physics}
 
 
 def _check_senses(saved: SavedPolicy, config: Config, path: Path) -> None:

@@ -20,7 +20,7 @@ from dgrasp.rl.networks import ActorCritic
 from dgrasp.rl.run.checkpoint import Checkpoint, save
 from dgrasp.tables.fill import _command
 from raisim_like.engines import default_engine
-from tests.imports import modules, within
+from tests.imports import ROOT, modules, within
 
 SHORT = ["data=free", "labels.objects=[004_sugar_box]", "labels.limit_per_object=1"]
 
@@ -92,6 +92,9 @@ def test_the_policy_that_ships_is_a_run_of_a_name(tmp_path: Path, monkeypatch: p
     assert request.config.physics.official_compat is None and request.choice.inertia == "true"
     named = make_request(Asked(run=Path(PRETRAINED), overrides=[*SHORT, "physics.official_compat=true"]))
     assert named.choice.inertia == "official"
+    # The file that it is says the same, and so does any published policy.
+    file = make_request(Asked(policy=ROOT / "data" / "free" / "policy" / "all_objects.safetensors", overrides=SHORT))
+    assert file.config.physics.official_compat is None and file.choice.inertia == "true"
     # A folder of that name is a run like any other.
     (tmp_path / PRETRAINED).mkdir()
     with pytest.raises(DataError, match="no checkpoint there"):

@@ -41,7 +41,7 @@ _OBJECT = "004_sugar_box"
 _TRAINING = ("name=demo", "data=free", f"labels.objects=[{_OBJECT}]", "env.episode_steps=100", "env.reward.pose=0.1",
              "ppo.max_minutes=3", "ppo.epochs=1000", "checkpoint.every=5", "checkpoint.keep=2", "eval.every=1000",
              "eval.gif=false")  # fmt: skip
-_TEST = ("data=free", "physics.preset=faithful", "labels.split=test", "labels.limit_per_object=1")
+_TEST = ("data=free", "engine=mujoco", "physics.preset=faithful", "labels.split=test", "labels.limit_per_object=1")
 _MOTION = ("motion.targets=near", "motion.stable_alone=false")
 
 
@@ -135,9 +135,9 @@ def _carry(saved: SavedPolicy, run_dir: Path, words: list[str]) -> None:
 
 
 def _config_of(saved: SavedPolicy | None, words: list[str]) -> Config:
-    from dgrasp.request import shipped_values
+    from dgrasp.request import published_values
 
-    return make_config({} if saved is None else shipped_values(saved), str(PRETRAINED_FILE), words)
+    return make_config({} if saved is None else published_values(saved), str(PRETRAINED_FILE), words)
 
 
 def _print(results: dict[str, Result]) -> None:
