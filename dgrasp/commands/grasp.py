@@ -25,7 +25,7 @@ from raisim_like.engines import default_engine
 from raisim_like.registry import BATCHES
 
 if TYPE_CHECKING:
-    from dgrasp.grasping.grasps import Grasps
+    from dgrasp.grasping.grasps import TestedGrasps
     from dgrasp.hand.store import NamedHand
     from dgrasp.request import Asked
 
@@ -229,7 +229,7 @@ def _make(stages: _Stages, arguments: argparse.Namespace, plan: _Plan, file: Pat
     stages.end(f"{len(made)} labels; PD control alone holds {row['held']} of them")
 
 
-def _print(plan: _Plan, grasps: Grasps, seconds: float) -> None:
+def _print(plan: _Plan, grasps: TestedGrasps, seconds: float) -> None:
     """Print the ranking, where the files are, and what to do next."""
     from dgrasp.files.typed import typed
     from dgrasp.grasping.folder import JSON_FILE, REPORT_FILE, SEQUENCES, table_cells

@@ -17,7 +17,7 @@ from dgrasp.export.collect import display_meshes, sequences
 from dgrasp.export.glb import glb_bytes
 from dgrasp.export.sequence import file_name, write_sequence
 from dgrasp.files.atomic import replaced_folder, write_atomic
-from dgrasp.grasping.grasps import Grasps
+from dgrasp.grasping.grasps import TestedGrasps
 from dgrasp.report.grasps import grasps_page
 
 SCHEMA = 1
@@ -58,7 +58,7 @@ def check_out(folder: Path) -> None:
                         "another folder, or move that file")
 
 
-def summary(grasps: Grasps, policy: Mapping[str, Any]) -> dict[str, Any]:
+def summary(grasps: TestedGrasps, policy: Mapping[str, Any]) -> dict[str, Any]:
     """The content of `JSON_FILE` as plain values, without anything that depends on the machine's speed or folders.
 
     policy: the entries on the policy.
@@ -76,7 +76,7 @@ def summary(grasps: Grasps, policy: Mapping[str, Any]) -> dict[str, Any]:
     return {**whole, "grasps": [_entry(grasps, i) for i in grasps.order]}
 
 
-def _entry(grasps: Grasps, place: int) -> dict[str, Any]:
+def _entry(grasps: TestedGrasps, place: int) -> dict[str, Any]:
     """The entry of one grasp: its metrics, its motion's, and its files."""
     row = grasps.result.per_label[place]
     entry = {"success": row["success"], "index": row["index"]}
@@ -90,12 +90,12 @@ def _entry(grasps: Grasps, place: int) -> dict[str, Any]:
     return entry
 
 
-def _stem(grasps: Grasps, place: int, moved: bool = False) -> str:
+def _stem(grasps: TestedGrasps, place: int, moved: bool = False) -> str:
     """The name of a sequence's files without their suffix. moved: of the motion, in place of the stability test."""
     return Path(file_name(grasps.choice.labels.labels[place])).stem + "_motion" * moved
 
 
-def table_cells(grasps: Grasps) -> tuple[list[str], list[list[str]]]:
+def table_cells(grasps: TestedGrasps) -> tuple[list[str], list[list[str]]]:
     """Header and rows of the ranking as text, best first."""
     moved = grasps.motion is not None
     motion = ["motion", "off mm", "off deg"] if moved else []
@@ -118,7 +118,7 @@ def _number(entry: Mapping[str, Any], key: str, factor: float, digits: int) -> s
     return f"{factor * entry[key]:.{digits}f}" if key in entry else ""
 
 
-def write_grasps(folder: Path, grasps: Grasps, labels: Path, policy: Mapping[str, Any]) -> None:
+def write_grasps(folder: Path, grasps: TestedGrasps, labels: Path, policy: Mapping[str, Any]) -> None:
     """Write the folder in one step, in place of one that this function wrote.
 
     labels: the file of the labels, which is copied. policy: as `summary` takes it.

@@ -21,7 +21,7 @@ from dgrasp.types import EpisodeRecord
 
 
 @dataclass(frozen=True, eq=False)
-class Grasps:
+class TestedGrasps:
     """The tested grasps of one object.
 
     result, records, spec: of the stability test, in the label file's order. order: places of the grasps, best first.
@@ -76,13 +76,13 @@ def check_policy(method: Method, hand: HandModel, named: str) -> None:
                           f"{hand.layout.n_dof} degrees of freedom; expected a hand and a policy that belong together")
 
 
-def try_grasps(method: Method, config: Config, choice: DataChoice) -> Grasps:
+def try_grasps(method: Method, config: Config, choice: DataChoice) -> TestedGrasps:
     """Grasp from each of the chosen labels, which are of one object, and take the table away."""
     result, records, spec = evaluate_choice(method, config, choice)
-    return Grasps(choice, result, records, spec, ranking(result.per_label))
+    return TestedGrasps(choice, result, records, spec, ranking(result.per_label))
 
 
-def carry(grasps: Grasps, method: Method, config: Config, target: TargetSet) -> Grasps:
+def carry(grasps: TestedGrasps, method: Method, config: Config, target: TargetSet) -> TestedGrasps:
     """The grasps with the motions to a target of those that hold, of which there is at least one."""
     places, of = sorted(grasps.held), grasps.choice.labels
     held = replace(grasps.choice, labels=replace(of, labels=[of.labels[i] for i in places]))
