@@ -20,7 +20,7 @@ MAX_FILE_BYTES = 256 * 2**20
 
 
 class _ArrayWrapper:
-    """joblib's placeholder for an array in the pickle; the BUILD opcode fills it in."""
+    """Stands for joblib's wrapper of an array; the BUILD opcode gives it its state."""
 
 
 class _Base:

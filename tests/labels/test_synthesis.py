@@ -32,9 +32,8 @@ from dgrasp.synthesis import trial as synth_trial
 from dgrasp.synthesis.energy import Grasps, energies, let_yield, optimise, residual_wrench, unnatural
 from dgrasp.synthesis.path import free_starts
 from dgrasp.synthesis.progress import SearchShare, search_and_trial
-from dgrasp.synthesis.report import joint_distances
 from dgrasp.synthesis.start import Setting, propose
-from dgrasp.synthesis.synthesiser import Synthesiser, order_of_both
+from dgrasp.synthesis.synthesiser import Synthesiser
 from dgrasp.synthesis.torch_hand import ObjectField, TorchHand, tensor
 from dgrasp.synthesis.trial import gt_pd_holds, outlasts_window
 from dgrasp.types import Array, GraspLabel
@@ -42,7 +41,7 @@ from raisim_like import registry
 from raisim_like.shapes import Shape
 from tests.labels.distances import hand_bottom, part_distances
 from tests.objects.meshes import box, save
-from tests.scenes import free_hand, make_label
+from tests.scenes import free_hand
 
 BRICK = "061_foam_brick"
 QUICK = {"eval": {"window_s": 0.1}, "physics": {"preset": "fast"}}
@@ -297,25 +296,3 @@ def test_a_hand_beside_the_object_does_not_hold_it(made: synthesis.Synthesised) 
     far = GraspLabel(**{**vars(label), "T_WH": T})
     config = make_config({"eval": {"window_s": 0.4}}, "test")
     assert not gt_pd_holds([far], free_hand(), free_object(BRICK, "official", True), config).any()
-
-
-@pytest.mark.parametrize(
-    ("held", "count", "expected"),
-    [
-        ([1, 1, 1, 0, 0, 0, 0, 0, 0, 0], 5, [0, 1, 3, 4, 5]),  # two of five hold
-        ([1, 1, 1, 1, 0], 4, [0, 1, 2, 4]),  # there is just one other
-        ([0, 0, 0], 2, [0, 1]),
-    ],
-)
-def test_some_that_hold_and_more_that_do_not(held: list[int], count: int, expected: list[int]) -> None:
-    assert order_of_both(np.array(held, bool), count).tolist() == expected
-
-
-def test_distances_between_grasps() -> None:
-    hand = free_hand()
-    one, other = make_label(hand, flexion=0.5), make_label(hand, flexion=0.8)
-    # 0.3 rad in a third of the angles: 0.3 / sqrt(3).
-    assert joint_distances([one, other])[0] == pytest.approx(np.degrees(0.3 / 3**0.5))
-    moved = make_label(hand, index=1)
-    assert joint_distances([one, moved]) == pytest.approx((0.0, 10.0))
-    assert joint_distances([one]) == (0.0, 0.0)
